@@ -1,0 +1,183 @@
+"""The environment contract.
+
+An environment describes one episode for one agent, in scalars. `reset` and `step` take keys, as in
+gymnax 1.0, and never reset by themselves. Under them lie `initial` and `transition`, which are
+deterministic in explicit random words (`hrljax.random`): a training loop feeds them random words,
+`exact_model` feeds them one word of every kind, so that the simulator and the model cannot disagree.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from hrljax import random
+from hrljax.hierarchy import Hierarchy
+from hrljax.solvers.model import Model
+
+State = TypeVar("State", bound=NamedTuple)
+Params = TypeVar("Params", bound=NamedTuple)
+
+_RESET_STREAM = 1
+
+
+class Environment(ABC, Generic[State, Params]):
+    """An episodic environment with a finite set of actions.
+
+    Instances are immutable and compare by value, so that two equal ones share compiled code.
+    Every state has an int32 field `time`, the number of steps taken in the episode.
+    """
+
+    name: ClassVar[str]
+    action_names: ClassVar[tuple[str, ...]]
+    metrics: ClassVar[tuple[str, ...]] = ()
+    """Names of the events that `transition` counts in its `info`; results report them per episode."""
+    num_words: ClassVar[int]
+    """Random words that one `transition` uses."""
+    num_initial_words: ClassVar[int]
+    """Random words that one `initial` uses."""
+
+    @property
+    def num_actions(self) -> int:
+        return len(self.action_names)
+
+    @property
+    @abstractmethod
+    def default_params(self) -> Params:
+        """The numbers of the environment as a NamedTuple of floats, with a field `max_steps` (int)."""
+
+    @abstractmethod
+    def initial(self, words: tuple[Array, ...], params: Params) -> State:
+        """The first state of an episode, deterministic in `num_initial_words` words."""
+
+    @abstractmethod
+    def transition(
+        self, state: State, action: Array, words: tuple[Array, ...], params: Params
+    ) -> tuple[State, Array, Array, dict[str, Array]]:
+        """One step, deterministic in `num_words` words.
+
+        Returns:
+            next state; reward (float32); terminated (bool): the episode ended in the environment
+            itself, not by a limit of steps; info: an int32 count of each event in `metrics`.
+        """
+
+    @abstractmethod
+    def observation(self, state: State) -> Array:
+        """What an agent sees of `state`."""
+
+    @property
+    @abstractmethod
+    def observation_space(self) -> gymnasium.Space[Any]:
+        """The Gymnasium space of `observation`."""
+
+    @property
+    def action_space(self) -> gymnasium.spaces.Discrete:
+        """The Gymnasium space of actions."""
+        return gymnasium.spaces.Discrete(self.num_actions)
+
+    def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
+        """Starts an episode: ``obs, state``. Consumes `key`."""
+        drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_initial_words, _RESET_STREAM)
+        state = self.initial(drawn, self.default_params if params is None else params)
+        return self.observation(state), state
+
+    def step(
+        self, key: Array, state: State, action: Array | int, params: Params | None = None
+    ) -> tuple[Array, State, Array, Array, Array, dict[str, Array]]:
+        """Takes one step: ``obs, state, reward, terminated, truncated, info``. Consumes `key`.
+
+        `truncated` holds when ``params.max_steps`` steps were taken without termination. The
+        episode is over when either holds; the caller then calls `reset`.
+        """
+        params = self.default_params if params is None else params
+        drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_words)
+        state, reward, terminated, info = self.transition(state, jnp.asarray(action, jnp.int32), drawn, params)
+        truncated = (state.time >= params.max_steps) & ~terminated  # type: ignore[attr-defined]
+        return self.observation(state), state, reward, terminated, truncated, info
+
+
+class TabularEnvironment(Environment[State, Params]):
+    """An environment whose states have numbers: ``encode`` and ``decode`` convert, time excluded."""
+
+    @property
+    @abstractmethod
+    def num_states(self) -> int:
+        """Size of the range of `encode`; some numbers may belong to no state that occurs."""
+
+    @abstractmethod
+    def encode(self, state: State) -> Array:
+        """The number of a state, int32 in ``[0, num_states)``; does not depend on `time`."""
+
+    @abstractmethod
+    def decode(self, index: Array) -> State:
+        """The state of a number, with `time` 0. Inverse of `encode`."""
+
+    @abstractmethod
+    def word_cuts(self, params: Params) -> tuple[tuple[Any, ...], ...]:
+        """For each word of `transition`: the probabilities at which its meaning changes.
+
+        With cuts c1, c2, ... in (0, 1), two words on the same side of every cut (as fractions of
+        their range) must give the same outcome in every state. Cuts of 0 or 1 and repeated cuts
+        are allowed.
+        """
+
+    @abstractmethod
+    def initial_word_cuts(self, params: Params) -> tuple[tuple[Any, ...], ...]:
+        """The same for the words of `initial`."""
+
+    def hierarchy(self) -> Hierarchy:
+        """The standard task hierarchy of this environment."""
+        raise NotImplementedError(f"{self.name} has no standard hierarchy")
+
+    def observation(self, state: State) -> Array:
+        """The number of the state (int32 scalar)."""
+        return self.encode(state)
+
+    @property
+    def observation_space(self) -> gymnasium.spaces.Discrete:
+        return gymnasium.spaces.Discrete(self.num_states)
+
+    def model(self, params: Params | None = None) -> Model:
+        """The exact model, by running `transition` on one word of every kind from every state."""
+        params = self.default_params if params is None else params
+        representatives, weights = _word_kinds(self.word_cuts(params))
+
+        def outcome(state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+            after, reward, terminated, _ = self.transition(self.decode(state), action, words, params)
+            return self.encode(after), reward, terminated
+
+        over_words = jax.vmap(outcome, (None, None, 0))
+        over_actions = jax.vmap(over_words, (None, 0, None))
+        over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
+        with jax.ensure_compile_time_eval():
+            states = jnp.arange(self.num_states, dtype=jnp.int32)
+            actions = jnp.arange(self.num_actions, dtype=jnp.int32)
+            after, reward, terminated = over_states(states, actions, representatives)
+        return Model.merged(np.asarray(after), np.asarray(reward), np.asarray(terminated), weights)
+
+    def initial_distribution(self, params: Params | None = None) -> np.ndarray:
+        """Probability of each state number at the start of an episode, float64 ``[S]``."""
+        params = self.default_params if params is None else params
+        representatives, weights = _word_kinds(self.initial_word_cuts(params))
+        with jax.ensure_compile_time_eval():
+            states = jax.vmap(lambda words: self.encode(self.initial(words, params)))(representatives)
+        return np.bincount(np.asarray(states), weights=weights, minlength=self.num_states)
+
+
+def _word_kinds(cuts: tuple[tuple[Any, ...], ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """One word of every kind and the probability of that kind, for all combinations of kinds."""
+    lows, widths = [], []
+    for word_cuts in cuts:
+        edges = [0, *sorted(int(random.threshold(c)) for c in word_cuts), random.WORD_RANGE]
+        kinds = [(a, b - a) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+        lows.append(np.array([low for low, _ in kinds], np.uint32))
+        widths.append(np.array([width for _, width in kinds], np.float64) / random.WORD_RANGE)
+    representatives = tuple(grid.ravel() for grid in np.meshgrid(*lows, indexing="ij"))
+    weights = np.ones(1)
+    for width in widths:
+        weights = np.outer(weights, width).ravel()
+    return representatives, weights

@@ -1,0 +1,196 @@
+"""What a training loop asks of a learner, and how hyper-parameters are declared."""
+
+import dataclasses
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from typing_extensions import Self
+
+from hrljax.envs.base import TabularEnvironment
+from hrljax.numerics import take
+
+Schedule: TypeAlias = Callable[[Any], Any]
+"""A number as a function of the episode's number, such as those of optax."""
+Hyperparameter: TypeAlias = "float | Schedule | Array"
+
+
+def hyperparameter(default: Any, low: float = -math.inf, high: float = math.inf, low_open: bool = False, schedule: bool = False) -> Any:
+    """A dataclass field that may be swept, with the interval that it must lie in."""
+    metadata = {"sweepable": True, "low": low, "high": high, "low_open": low_open, "schedule": schedule}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+class Settings:
+    """A frozen dataclass of hyper-parameters (numbers, may be swept) and static options.
+
+    Each hyper-parameter is checked when it is a concrete number. Subclasses are dataclasses.
+    """
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if field.metadata.get("sweepable") and not isinstance(value, jax.core.Tracer):
+                _check_number(type(self).__name__, field, value)
+
+    def replaced(self, values: Mapping[str, Any]) -> Self:
+        """A copy with some fields replaced; ``"root.step_size"`` reaches into a field that has fields."""
+        own: dict[str, Any] = {}
+        for name, value in values.items():
+            head, _, rest = name.partition(".")
+            own[head] = own.get(head, getattr(self, head)).replaced({rest: value}) if rest else value
+        return dataclasses.replace(self, **own)  # type: ignore[type-var]
+
+    def settings(self) -> dict[str, Any]:
+        """Every field by name, nested ones with a dot."""
+        found: dict[str, Any] = {}
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, Settings):
+                found[field.name] = type(value).__name__
+                found |= {f"{field.name}.{name}": inner for name, inner in value.settings().items()}
+            else:
+                found[field.name] = value
+        return found
+
+    def sweepable(self) -> dict[str, float]:
+        """The hyper-parameters that are numbers now, by name: those that an axis of a sweep may name."""
+        found: dict[str, float] = {}
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, Settings):
+                found |= {f"{field.name}.{name}": inner for name, inner in value.sweepable().items()}
+            elif field.metadata.get("sweepable") and not callable(value):
+                found[field.name] = value
+        return found
+
+
+def _check_number(owner: str, field: "dataclasses.Field[Any]", value: Any) -> None:
+    rule = field.metadata
+    if callable(value):
+        if not rule["schedule"]:
+            raise TypeError(f"{owner}: {field.name} must be a number, not a schedule")
+        return
+    low, high = rule["low"], rule["high"]
+    allowed = f"{'(' if rule['low_open'] else '['}{low:g}, {high:g}]"
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        also = " or a schedule" if rule["schedule"] else ""
+        raise TypeError(f"{owner}: {field.name} must be a number{also}, got {value!r}") from None
+    if not (low <= number <= high and math.isfinite(number)) or (rule["low_open"] and number == low):
+        raise ValueError(f"{owner}: {field.name} must be a finite number in {allowed}, got {value!r}")
+
+
+class Moment(NamedTuple):
+    """Where in a run a step is taken."""
+
+    episode: Array  # int32 scalar, from 0
+    live: Array  # bool: False where the run is over and nothing may change any more
+    zero: Array  # uint32: `hrljax.numerics.opaque_zero`
+
+
+class Experience(NamedTuple):
+    """One primitive step, as scalars."""
+
+    state: Array  # int32 number of the state
+    action: Array  # int32
+    reward: Array  # float32
+    next_state: Array  # int32
+    terminated: Array  # bool: the next state has no value
+    done: Array  # bool: terminated, or cut off by the limit of steps
+
+
+class LearnerState(NamedTuple):
+    """State of a learner."""
+
+    tables: Any  # what it has learned; large
+    control: Any  # what it is doing; a few scalars
+
+
+class Learner(Settings, ABC):
+    """A tabular learner, written for one run of one seed: every method is a pure scalar function.
+
+    The training loop calls `begin` at the first state of every episode, and for every step `action`
+    and then `learn`.
+    """
+
+    name: ClassVar[str]
+    num_words: ClassVar[int]
+    """Random words that one `learn` uses."""
+    num_begin_words: ClassVar[int]
+    """Random words that one `begin` uses."""
+
+    @property
+    def planning_interval(self) -> int:
+        """Episodes between two calls of `plan`; 0 if the learner does not plan."""
+        return 0
+
+    def prepare(self, env: TabularEnvironment[Any, Any]) -> Any:
+        """Tables that the learner needs of the environment, made once on the host."""
+        return None
+
+    @abstractmethod
+    def init(self, env: TabularEnvironment[Any, Any], prepared: Any) -> LearnerState:
+        """The learner's state before the first episode."""
+
+    @abstractmethod
+    def begin(self, prepared: Any, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
+        """Starts an episode at a state (its number, int32): the new `control`."""
+
+    @abstractmethod
+    def action(self, control: Any) -> Array:
+        """The primitive action (int32) to take now."""
+
+    @abstractmethod
+    def learn(
+        self, prepared: Any, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+    ) -> LearnerState:
+        """Learns from one step and chooses the next action."""
+
+    def plan(self, prepared: Any, tables: Any, moment: Moment) -> Any:
+        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`."""
+        return tables
+
+
+def tabulated(learner: Learner, num_episodes: int) -> Learner:
+    """The learner with every schedule replaced by the float32 table of its values, one per episode.
+
+    Schedules are evaluated once, outside of compiled code, so that every mapping sees the same bits.
+
+    Raises:
+        ValueError: a schedule leaves the interval of its hyper-parameter; names the episode.
+    """
+    tables: dict[str, Any] = {}
+    for field in dataclasses.fields(learner):
+        schedule = getattr(learner, field.name)
+        if field.metadata.get("schedule") and callable(schedule):
+            with jax.ensure_compile_time_eval():
+                values = np.asarray(jax.vmap(schedule)(jnp.arange(num_episodes, dtype=jnp.int32)), np.float32)
+            for episode in (values.argmin(), values.argmax(), 0):
+                try:
+                    _check_number(type(learner).__name__, field, values[episode])
+                except ValueError as error:
+                    raise ValueError(f"{error} by its schedule at episode {episode}") from None
+            tables[field.name] = Tabulated(values)
+    return dataclasses.replace(learner, **tables) if tables else learner
+
+
+class Tabulated:
+    """A schedule as a table; behaves as a schedule."""
+
+    def __init__(self, values: np.ndarray):
+        self.values = values  # [episodes] float32
+
+    def __call__(self, episode: Array) -> Array:
+        return take(jnp.asarray(self.values), episode)
+
+
+def at_episode(value: Any, episode: Array) -> Array:
+    """A hyper-parameter's value (float32 scalar) in an episode."""
+    return value(episode) if isinstance(value, Tabulated) else jnp.asarray(value, jnp.float32)

@@ -1,0 +1,76 @@
+"""Scalar building blocks of native loops: reads that never wrap, products that never fuse, stages.
+
+Why they exist: XLA's CPU compiler contracts ``a * b + c`` to a fused multiply-add or not,
+depending on how it cut the program into kernels. Two mappings of one function (a native loop, a
+`vmap`) can then differ in a last bit, after which two runs take different paths.
+"""
+
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.experimental.xla_metadata import set_xla_metadata
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def take(table: Array, index: Array) -> Array:
+    """``table[index]`` of a vector, without the arithmetic for negative indices.
+
+    `index` is a non-negative int32 or uint32 scalar; one beyond the end reads the last entry.
+    """
+    return lax.dynamic_slice(table, (index.astype(jnp.uint32),), (1,))[0]
+
+
+def take_row(table: Array, start: Array, length: int) -> Array:
+    """``table[start : start + length]`` of a vector; `start` as in `take`."""
+    return lax.dynamic_slice(table, (start.astype(jnp.uint32),), (length,))
+
+
+def put_row(table: Array, start: Array, row: Array) -> Array:
+    """`table` with ``table[start : start + len(row)]`` replaced by `row`."""
+    return lax.dynamic_update_slice(table, row, (start.astype(jnp.uint32),))
+
+
+def opaque_zero(word: Array) -> Array:
+    """Zero (uint32), computed from any uint32 `word` in a way that no compiler folds.
+
+    The square of an odd number is 1 modulo 8, so its bit 2 is never set.
+    """
+    odd = word | np.uint32(1)
+    return (odd * odd) & np.uint32(4)
+
+
+def exact_product(a: Array, b: Array, zero: Array) -> Array:
+    """``a * b``, rounded by itself: never contracted with an addition into a fused multiply-add.
+
+    Args:
+        a: float32 or float64 array.
+        b: array of the same dtype, broadcastable with `a`.
+        zero: what `opaque_zero` returned (uint32 scalar).
+    """
+    product = a * b
+    bits_type = jnp.uint32 if product.dtype == jnp.float32 else jnp.uint64
+    bits = lax.bitcast_convert_type(product, bits_type) ^ lax.convert_element_type(zero, bits_type)
+    return lax.bitcast_convert_type(bits, product.dtype)
+
+
+def stage(function: Callable[P, T]) -> Callable[P, T]:
+    """A part of a loop's body whose results are computed once, not again in each consumer.
+
+    XLA's fusion copies cheap operations into every kernel that uses them; a call that it may not
+    inline stops that. Changes speed only, never a result.
+    """
+    compiled = jax.jit(function)
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        with set_xla_metadata(inlineable="false"):
+            return compiled(*args, **kwargs)
+
+    return call

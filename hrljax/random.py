@@ -1,0 +1,123 @@
+"""Random words from keys: Threefry-2x32, unrolled, so that a native loop computes them in registers.
+
+A *word* is a ``uint32`` that holds ``WORD_BITS`` random bits. Environments and learners receive
+words instead of keys, which makes them deterministic functions: the same code is simulated with
+random words and enumerated with chosen ones (`hrljax.envs.base`).
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.numerics import take
+
+WORD_BITS = 24
+WORD_RANGE = 1 << WORD_BITS
+
+_ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+_PARITY = np.uint32(0x1BD11BDA)
+
+
+def threefry_2x32(key: tuple[Array, Array], counter: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Encrypts a counter of two words with a key of two words (Salmon et al. 2011, 20 rounds).
+
+    The bits are those of JAX's own default generator. All arguments are ``uint32`` of one shape.
+    """
+    schedule = (key[0], key[1], key[0] ^ key[1] ^ _PARITY)
+    x0, x1 = counter[0] + schedule[0], counter[1] + schedule[1]
+    for group in range(5):
+        for rotation in _ROTATIONS[group % 2]:
+            x0 = x0 + x1
+            x1 = (x1 << np.uint32(rotation)) | (x1 >> np.uint32(32 - rotation))
+            x1 = x1 ^ x0
+        x0 = x0 + schedule[(group + 1) % 3]
+        x1 = x1 + schedule[(group + 2) % 3] + np.uint32(group + 1)
+    return x0, x1
+
+
+def key_words(key: Array) -> tuple[Array, Array]:
+    """The two ``uint32`` words of one Threefry key.
+
+    Raises:
+        TypeError: `key` is not a new-style key (`jax.random.key`) or not of the Threefry kind.
+        ValueError: `key` is an array of keys.
+    """
+    check_key(key)
+    data = jax.random.key_data(key)
+    return data[0], data[1]
+
+
+def check_key(key: object) -> None:
+    """Raises unless `key` is one new-style Threefry key."""
+    if not isinstance(key, jax.Array) or not jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
+        raise TypeError(f"key must be a new-style key such as jax.random.key(0), got {key!r}")
+    if "fry" not in str(key.dtype):
+        raise TypeError(f"key must be a threefry2x32 key (the default of jax.random.key), got {key.dtype}")
+    if key.ndim:
+        raise ValueError(f"key must be a single key, got an array of keys of shape {key.shape}; map over it")
+
+
+def num_blocks(num_words: int) -> int:
+    """How many Threefry blocks (64 bits each) hold `num_words` words."""
+    return -(-num_words * WORD_BITS // 64)
+
+
+def _pack(halves: list[Array], num_words: int) -> tuple[Array, ...]:
+    """Cuts 32-bit halves into words: the high 24 bits of each, then triples of their low bytes."""
+    low_byte, shift = np.uint32(0xFF), np.uint32(32 - WORD_BITS)
+    words = [half >> shift for half in halves]
+    for i in range(0, len(halves) - 2, 3):
+        a, b, c = (half & low_byte for half in halves[i : i + 3])
+        words.append((a << np.uint32(16)) | (b << np.uint32(8)) | c)
+    return tuple(words[:num_words])
+
+
+def words(key: tuple[Array, Array], index: Array, num_words: int, stream: int = 0) -> tuple[Array, ...]:
+    """`num_words` words for position `index` (uint32 scalar) of one of 128 streams of a key."""
+    halves: list[Array] = []
+    for lane in range(num_blocks(num_words)):
+        halves += threefry_2x32(key, (index, jnp.uint32(stream << 24 | lane)))
+    return _pack(halves, num_words)
+
+
+class WordBlock:
+    """The words of `length` successive positions of stream 0, computed at once as short vectors.
+
+    ``WordBlock(key, start, length, n)[i]`` equals ``words(key, start + i, n)``; a vector of
+    positions costs little more than one, so a loop takes its words from a block.
+    """
+
+    def __init__(self, key: tuple[Array, Array], start: Array, length: int, num_words: int):
+        self._lanes = num_blocks(num_words)
+        self._num_words = num_words
+        position = np.arange(length * self._lanes, dtype=np.uint32)
+        counter = (start + position // np.uint32(self._lanes), jnp.asarray(position % np.uint32(self._lanes)))
+        self._halves = threefry_2x32(key, counter)
+
+    def __getitem__(self, i: Array) -> tuple[Array, ...]:
+        halves = []
+        for lane in range(self._lanes):
+            at = i * np.int32(self._lanes) + np.int32(lane)
+            halves += [take(self._halves[0], at), take(self._halves[1], at)]
+        return _pack(halves, self._num_words)
+
+
+def below(word: Array, probability: Array | float) -> Array:
+    """True with `probability`, decided by one word."""
+    return word < threshold(probability)
+
+
+def threshold(probability: Array | float) -> Array:
+    """The number of words, out of ``WORD_RANGE``, below a probability (uint32)."""
+    if isinstance(probability, int | float):
+        return jnp.uint32(math.ceil(probability * WORD_RANGE))
+    scaled = lax.ceil(probability.astype(jnp.float32) * np.float32(WORD_RANGE))
+    return scaled.astype(jnp.uint32)
+
+
+def uniform_index(word: Array, n: Array) -> Array:
+    """A uniform index in ``[0, n)``, int32, from one word; `n` (int32) is at most 255."""
+    return ((word * n.astype(jnp.uint32)) >> np.uint32(WORD_BITS)).astype(jnp.int32)
