@@ -110,10 +110,10 @@ def below(word: Array, probability: Array | float) -> Array:
     return word < threshold(probability)
 
 
-def threshold(probability: Array | float) -> Array:
+def threshold(probability: Array | float) -> Array | np.uint32:
     """The number of words, out of ``WORD_RANGE``, below a probability (uint32)."""
     if isinstance(probability, int | float):
-        return jnp.uint32(math.ceil(probability * WORD_RANGE))
+        return np.uint32(math.ceil(probability * WORD_RANGE))
     scaled = lax.ceil(probability.astype(jnp.float32) * np.float32(WORD_RANGE))
     return scaled.astype(jnp.uint32)
 

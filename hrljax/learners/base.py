@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from typing_extensions import Self
 
 from hrljax.envs.base import TabularEnvironment
@@ -88,11 +88,31 @@ def _check_number(owner: str, field: "dataclasses.Field[Any]", value: Any) -> No
 
 
 class Moment(NamedTuple):
-    """Where in a run a step is taken."""
+    """Where in a run a step is taken, and whether it counts."""
 
     episode: Array  # int32 scalar, from 0
-    live: Array  # bool: False where the run is over and nothing may change any more
+    live: Array  # bool: False where nothing may change; a Python constant unless runs are in lockstep
     zero: Array  # uint32: `hrljax.numerics.opaque_zero`
+    lockstep: bool = False
+    """Static: many runs take their steps together, so that a branch costs as much as both its sides."""
+
+    def when(
+        self, condition: Array, update: Callable[[Any, "Moment"], tuple[Any, Any]], tables: Any, otherwise: Any
+    ) -> tuple[Any, Any]:
+        """``update(tables, moment)`` where `condition` holds, else ``(tables, otherwise)``.
+
+        `update` returns changed tables and a few scalars. In lockstep it always runs and has to
+        leave the tables alone where the moment that it is given is not live.
+        """
+        if not self.lockstep:
+            return lax.cond(condition, lambda t: update(t, self), lambda t: (t, otherwise), tables)
+            # A loop changes its tables in place; a branch would copy them.
+            _, tables, result = lax.while_loop(
+                lambda carry: carry[0], lambda carry: (jnp.bool_(False), *update(carry[1], self)), (condition, tables, otherwise)
+            )
+            return tables, result
+        tables, result = update(tables, self._replace(live=self.live & condition))
+        return tables, jax.tree.map(lambda new, old: lax.select(condition, new, old), result, otherwise)
 
 
 class Experience(NamedTuple):
@@ -103,7 +123,6 @@ class Experience(NamedTuple):
     reward: Array  # float32
     next_state: Array  # int32
     terminated: Array  # bool: the next state has no value
-    done: Array  # bool: terminated, or cut off by the limit of steps
 
 
 class LearnerState(NamedTuple):

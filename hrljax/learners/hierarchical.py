@@ -16,7 +16,7 @@ from hrljax.envs.base import TabularEnvironment
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
-from hrljax.learners.roots import Decision, RandomRoot, Root
+from hrljax.learners.roots import ChildValue, Decision, RandomRoot, Root
 from hrljax.learners.task_tables import TaskTables, tabulate
 from hrljax.numerics import put_row, stage, take, take_row
 
@@ -87,7 +87,7 @@ class _Hierarchical(Learner):
         return self.root.planning_interval
 
     def prepare(self, env: TabularEnvironment[Any, Any]) -> Prepared:
-        return _prepare(self.hierarchy, self.root.prepare, env)
+        return _prepare(self.hierarchy, env, self.root.prepare(self.hierarchy, env))
 
     def init(self, env: TabularEnvironment[Any, Any], prepared: Prepared) -> LearnerState:
         cells = (prepared.tasks.num_tasks - 1) * env.num_states * env.num_actions
@@ -100,7 +100,7 @@ class _Hierarchical(Learner):
         raise NotImplementedError
 
     def begin(self, prepared: Prepared, tables: Tables, first: Array, words: tuple[Array, ...], moment: Moment) -> Control:
-        decision, _ = self._decide(prepared, tables, first, words[0], moment)
+        _, decision = self._decide(prepared, tables, first, words[0], moment, jnp.bool_(True))
         return self._proceed(prepared, tables, decision.task, first, decision, jnp.float32(1), words[1], moment)
 
     def action(self, control: Control) -> Array:
@@ -114,17 +114,12 @@ class _Hierarchical(Learner):
         discount = at_episode(self.discount, moment.episode)
         so_far = control.discount * discount
 
-        ended = moment._replace(live=moment.live & (exited | step.terminated))
-        root = self.root.observe(prepared.root, tables.root, control.decision, after, step.terminated, so_far, ended)
+        def hand_over(root: Any, now: Moment) -> tuple[Any, Decision]:
+            root = self.root.observe(prepared.root, root, control.decision, after, step.terminated, so_far, now)
+            return self._decide(prepared, tables._replace(root=root), after, words[0], now, ~step.terminated)
+
+        root, decision = moment.when(exited | step.terminated, hand_over, tables.root, control.decision)
         tables = tables._replace(root=root)
-        moves_on = exited & ~step.terminated
-        decision, backup = lax.cond(
-            moves_on,
-            lambda: self._decide(prepared, tables, after, words[0], moment),
-            lambda: (control.decision, jnp.float32(0)),
-        )
-        backed_up = moment._replace(live=moment.live & moves_on)
-        tables = tables._replace(root=self.root.record(tables.root, decision, backup, backed_up))
 
         row = prepared.row(tables.parts, decision.task, after)
         child = td.greedy(self._worth(row))[0]
@@ -145,15 +140,26 @@ class _Hierarchical(Learner):
             return [v.reward + v.completion + v.exit + v.pseudo for v in row]
         return [v.reward + v.completion + v.pseudo for v in row]
 
-    def _decide(self, prepared: Prepared, tables: Tables, state: Array, word: Array, moment: Moment) -> tuple[Decision, Array]:
-        """The root's choice, and what its planner now thinks of the state."""
+    def _decide(
+        self, prepared: Prepared, tables: Tables, state: Array, word: Array, moment: Moment, goes_on: Array
+    ) -> tuple[Any, Decision]:
+        """The root's choice in a state, and its tables with what it found out while choosing."""
+        now = moment._replace(live=moment.live & goes_on)
+        epsilon = at_episode(self.epsilon, moment.episode)
+        return self.root.choose(prepared.root, tables.root, self._child_value(prepared, tables), state, word, epsilon, now)
 
-        def value(task: Array) -> Array:
+    def plan(self, prepared: Prepared, tables: Tables, moment: Moment) -> Tables:
+        return tables._replace(root=self.root.plan(prepared.root, tables.root, self._child_value(prepared, tables), moment))
+
+    def _child_value(self, prepared: Prepared, tables: Tables) -> ChildValue:
+        """Q_r of a subtask for its parent, by recursion (thesis eq. 3.3): at what it would do itself."""
+
+        def value(task: Array, state: Array) -> Array:
             row = prepared.row(tables.parts, task, state)
             child = td.greedy(self._worth(row))[0]
             return td.pick([v.reward + v.completion for v in row], child)
 
-        return self.root.choose(prepared.root, tables.root, value, state, word, at_episode(self.epsilon, moment.episode), moment)
+        return value
 
     def _proceed(self, prepared, tables, task, state, decision, discount, word, moment) -> Control:
         row = prepared.row(tables.parts, task, state)
@@ -163,11 +169,11 @@ class _Hierarchical(Learner):
 
 
 @lru_cache(maxsize=64)
-def _prepare(hierarchy: Hierarchy, prepare_root: Any, env: TabularEnvironment[Any, Any]) -> Prepared:
+def _prepare(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any], root: Any) -> Prepared:
     tasks = tabulate(hierarchy, env)
     active_bits = tasks.active_bits >> np.uint32(1)
     goal = np.ascontiguousarray(tasks.goal[1:]).ravel()
-    return Prepared(tasks, env.num_states, env.num_actions, active_bits, goal, prepare_root(hierarchy, tasks, env))
+    return Prepared(tasks, env.num_states, env.num_actions, active_bits, goal, root)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A task hierarchy as arrays over the numbers of an environment's states."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from hrljax.envs.base import TabularEnvironment
 from hrljax.hierarchy import Hierarchy, Predicate
+from hrljax.planners.abstract_dp import DecisionPoints
 from hrljax.solvers.model import Model
 
 
@@ -80,3 +82,87 @@ def decision_states(tables: TaskTables, model: Model, initial: np.ndarray) -> np
         ended = (successors >= 0) & active[:, None, None] & ~active[follows]
         decides[follows[ended]] = True
     return decides
+
+
+@lru_cache(maxsize=64)
+def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> DecisionPoints:
+    """The decision points of a root that plans, and the outcomes that each subtask can have there.
+
+    Outcomes are those that are possible under the environment's default parameters.
+
+    Raises:
+        ValueError: the root has no abstraction, or it does not tell all states apart.
+    """
+    tables = tabulate(hierarchy, env)
+    abstraction = hierarchy.root.abstraction
+    if abstraction is None:
+        raise ValueError(f"a root that plans needs an abstraction; subtask {hierarchy.root.name!r} has none")
+    model = env.model()
+    decides = decision_states(tables, model, env.initial_distribution())
+    x_of, x_names = _numbered(over_states(abstraction.planning, env), decides)
+    y_of, y_names = _numbered(over_states(abstraction.environment, env), decides)
+    in_grid = (x_of >= 0) & (y_of >= 0)
+    points = x_of * len(y_names) + y_of
+    state = np.zeros(len(x_names) * len(y_names), np.int32)
+    state[points[in_grid]] = np.flatnonzero(in_grid)
+    if len(np.unique(points[in_grid])) < in_grid.sum():
+        raise ValueError(f"the abstraction of {hierarchy.root.name!r} gives two states the same two parts")
+    exists = np.bincount(points[in_grid], minlength=len(state)).astype(np.bool_).reshape(len(x_names), -1)
+
+    invocable = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), len(y_names))
+    somewhere = invocable.any(2)
+    num_slots = max(int(somewhere.sum(0).max()), 1)
+    tasks = np.zeros((len(x_names), num_slots), np.int32)
+    can_invoke = np.zeros((len(x_names), num_slots, len(y_names)), np.bool_)
+    outcomes: list[list[int]] = []
+    leaves = {task: _exits(tables.active[task + 1], model, over_states(abstraction.planning, env)) for task in range(len(invocable))}
+    for x in range(len(x_names)):
+        children = np.flatnonzero(somewhere[:, x])
+        tasks[x, : len(children)] = children
+        can_invoke[x, : len(children)] = invocable[children, x]
+        for slot in range(num_slots):
+            found = leaves[int(children[slot])](int(x_names[x])) if slot < len(children) else set()
+            outcomes.append(sorted(int(np.searchsorted(x_names, name)) for name in found))
+    widest = max(map(len, outcomes))
+    padded = np.array([found + [-1] * (widest - len(found)) for found in outcomes], np.int32)
+    return DecisionPoints(
+        num_x=len(x_names),
+        num_y=len(y_names),
+        point=np.where(in_grid, points, 0).astype(np.int32),
+        planning=x_of.astype(np.int32),
+        state=state,
+        tasks=tasks.ravel(),
+        can_invoke=can_invoke,
+        outcomes=padded.ravel(),
+    )
+
+
+def _numbered(part: np.ndarray, decides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Consecutive numbers for the values that a part takes where the root decides; -1 for others."""
+    names = np.unique(part[decides])
+    number = np.minimum(np.searchsorted(names, part), len(names) - 1)
+    return np.where(names[number] == part, number, -1), names
+
+
+def _exits(active: np.ndarray, model: Model, planning: np.ndarray) -> Callable[[int], set[int]]:
+    """For one subtask: from a planning part to the planning parts in which it can end."""
+    successors = model.successors()
+    follows = np.maximum(successors, 0)
+    inside = (successors >= 0) & active[:, None, None]
+    edges: dict[int, set[int]] = {}
+    ends: dict[int, set[int]] = {}
+    for moves, table in ((inside & active[follows], edges), (inside & ~active[follows], ends)):
+        states = np.broadcast_to(np.arange(len(planning))[:, None, None], moves.shape)[moves]
+        pairs = np.unique(np.stack([planning[states], planning[follows[moves]]]), axis=1)
+        for origin, target in pairs.T.tolist():
+            table.setdefault(origin, set()).add(target)
+
+    def from_part(origin: int) -> set[int]:
+        seen, queue = {origin}, [origin]
+        while queue:
+            for target in edges.get(queue.pop(), set()) - seen:
+                seen.add(target)
+                queue.append(target)
+        return set().union(*(ends.get(part, set()) for part in seen))
+
+    return from_part
