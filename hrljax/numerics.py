@@ -46,14 +46,16 @@ def opaque_zero(word: Array) -> Array:
     return (odd * odd) & np.uint32(4)
 
 
-def exact_product(a: Array, b: Array, zero: Array) -> Array:
+def exact_product(a: Array | np.float32, b: Array, zero: Array) -> Array:
     """``a * b``, rounded by itself: never contracted with an addition into a fused multiply-add.
 
     Args:
-        a: float32 or float64 array.
+        a: float32 or float64 array, or a constant.
         b: array of the same dtype, broadcastable with `a`.
         zero: what `opaque_zero` returned (uint32 scalar).
     """
+    if isinstance(a, np.floating) and a == 1:
+        return b
     product = a * b
     bits_type = jnp.uint32 if product.dtype == jnp.float32 else jnp.uint64
     bits = lax.bitcast_convert_type(product, bits_type) ^ lax.convert_element_type(zero, bits_type)

@@ -6,6 +6,7 @@ random words and enumerated with chosen ones (`hrljax.envs.base`).
 """
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -94,19 +95,26 @@ class WordBlock:
         self._lanes = num_blocks(num_words)
         self._num_words = num_words
         position = np.arange(length * self._lanes, dtype=np.uint32)
-        counter = (start + position // np.uint32(self._lanes), jnp.asarray(position % np.uint32(self._lanes)))
-        self._halves = threefry_2x32(key, counter)
+        index = start + position // np.uint32(self._lanes)
+        lane = jnp.asarray(position % np.uint32(self._lanes))
+        # XLA would compute every round once for each of the two results. As one array of pairs,
+        # for which complex64 is the only type, they are computed once; no arithmetic touches them.
+        x0, x1 = threefry_2x32(key, (index, lane))
+        as_float = partial(lax.bitcast_convert_type, new_dtype=jnp.float32)
+        self._pairs = lax.complex(as_float(x0), as_float(x1))
 
     def __getitem__(self, i: Array) -> tuple[Array, ...]:
         halves = []
         for lane in range(self._lanes):
-            at = i * np.int32(self._lanes) + np.int32(lane)
-            halves += [take(self._halves[0], at), take(self._halves[1], at)]
+            pair = take(self._pairs, i * np.int32(self._lanes) + np.int32(lane))
+            halves += [lax.bitcast_convert_type(part, jnp.uint32) for part in (lax.real(pair), lax.imag(pair))]
         return _pack(halves, self._num_words)
 
 
 def below(word: Array, probability: Array | float) -> Array:
     """True with `probability`, decided by one word."""
+    if isinstance(probability, int | float) and probability >= 1:
+        return jnp.bool_(True)
     return word < threshold(probability)
 
 

@@ -29,22 +29,23 @@ class Run(NamedTuple):
     steps: Array  # int32: primitive steps of the whole run
 
 
-class _Totals(NamedTuple):
-    """Sums over the episodes of a bin."""
-
-    reward: Array  # float32
-    counts: tuple[Array, ...]  # int32: steps, then the events of the environment
-
-
 class _Loop(NamedTuple):
-    """What changes from step to step."""
+    """What changes from step to step. A native loop pays for every entry, so there are few."""
 
     learner: LearnerState
     state: Array  # int32 number of the environment's state
     time: Array  # int32 steps taken in this episode
     episode: Array  # int32 episodes finished
-    steps: Array  # uint32 steps of the whole run
-    totals: _Totals
+    done: Array  # bool: the episode is over, another has to begin
+    sums: Array  # [1 + events] float32: reward and events of the environment, over the bin
+
+
+def _small(loop: _Loop) -> tuple[Any, ...]:
+    return (loop.learner.control, *loop[1:])
+
+
+def _with(loop: _Loop, small: tuple[Any, ...]) -> _Loop:
+    return _Loop(LearnerState(loop.learner.tables, small[0]), *small[1:])
 
 
 def metric_names(env: Env) -> tuple[str, ...]:
@@ -126,7 +127,6 @@ class _Trainer:
         self.env, self.learner, self.params = env, learner, params
         self.num_episodes, self.lockstep = num_episodes, lockstep
         self.key = random.key_words(key)
-        self.zero = opaque_zero(self.key[0])
         self.prepared = learner.prepare(env)
         self.transition = stage(self._transition)
 
@@ -134,43 +134,47 @@ class _Trainer:
         sizes = bin_sizes(self.num_episodes, bin_size)
         state = self.learner.init(self.env, self.prepared)
         zero = jnp.int32(0)
-        control, first = self._begin(state.tables, zero, jnp.bool_(True))
-        start = _Loop(state._replace(control=control), first, zero, zero, jnp.uint32(0), self._no_totals())
+        control, first = self._begin(state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep))
+        start = (_Loop(state._replace(control=control), first, zero, zero, jnp.bool_(False), self._nothing()), zero)
 
-        def run_bin(loop: _Loop, number: Array) -> tuple[_Loop, _Totals]:
+        def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Array, Array]]:
             end = jnp.minimum((number + 1) * bin_size, self.num_episodes)
-            loop = lax.while_loop(lambda c: c.episode < end, lambda c: self._between_plans(c, end), loop)
-            return loop._replace(totals=self._no_totals()), loop.totals
+            before = carry[1]
+            loop, steps = lax.while_loop(lambda c: c[0].episode < end, lambda c: self._between_plans(*c, end), carry)
+            return (loop._replace(sums=self._nothing()), steps), (loop.sums, steps - before)
 
-        def run_stretch(loop: _Loop, numbers: Array) -> tuple[_Loop, tuple[_Totals, Array]]:
-            loop, totals = lax.scan(run_bin, loop, numbers)
-            return loop, (totals, self._evaluate(loop.learner.tables))
+        def run_stretch(carry: tuple[_Loop, Array], numbers: Array) -> tuple[tuple[_Loop, Array], Any]:
+            carry, sums = lax.scan(run_bin, carry, numbers)
+            return carry, (sums, self._evaluate(carry[0].learner.tables))
 
         numbers = jnp.arange(len(sizes), dtype=jnp.int32)
         values = jnp.zeros(0, jnp.float32)
         if evaluate_every is None:
-            loop, totals = lax.scan(run_bin, start, numbers)
+            (loop, steps), sums = lax.scan(run_bin, start, numbers)
         else:
             whole = len(sizes) // evaluate_every * evaluate_every
-            loop, (totals, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
-            loop, rest = lax.scan(run_bin, loop, numbers[whole:])
-            totals = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1), b]), totals, rest)
+            carry, (sums, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
+            (loop, steps), rest = lax.scan(run_bin, carry, numbers[whole:])
+            sums = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *b.shape[1:]), b]), sums, rest)
         episodes = jnp.asarray(sizes, jnp.float32)
-        sums = [totals.reward, *(count.astype(jnp.float32) for count in totals.counts)]
-        metrics = {name: total / episodes for name, total in zip(metric_names(self.env), sums, strict=True)}
-        return Run(loop.learner.tables, metrics, values, loop.steps.astype(jnp.int32))
+        rewards_and_events, length = sums
+        reward, *events = rewards_and_events.T
+        columns = [reward, length.astype(jnp.float32), *events]
+        metrics = {name: column / episodes for name, column in zip(metric_names(self.env), columns, strict=True)}
+        return Run(loop.learner.tables, metrics, values, steps)
 
     def _evaluate(self, tables: Any) -> Array:
         return self.learner.greedy_return(self.env, self.prepared, tables, self.params)
 
-    def _no_totals(self) -> _Totals:
-        return _Totals(jnp.float32(0), (jnp.int32(0),) * (1 + len(self.env.metrics)))
+    def _nothing(self) -> Array:
+        """The sums of a bin before its first step."""
+        return jnp.zeros(1 + len(self.env.metrics), jnp.float32)
 
-    def _between_plans(self, loop: _Loop, end: Array) -> _Loop:
+    def _between_plans(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
         """Plans if it is time to, and runs episodes until it is time again or `end` is reached."""
         interval = self.learner.planning_interval
         if interval:
-            moment = Moment(loop.episode, jnp.bool_(True), self.zero, self.lockstep)
+            moment = Moment(loop.episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
             tables = lax.cond(
                 loop.episode % interval == 0,
                 lambda tables: self.learner.plan(self.prepared, tables, moment),
@@ -179,53 +183,67 @@ class _Trainer:
             )
             loop = loop._replace(learner=loop.learner._replace(tables=tables))
             end = jnp.minimum(end, (loop.episode // interval + 1) * interval)
-        return lax.while_loop(lambda c: c.episode < end, lambda c: self._block(c, end), loop)
+        return lax.while_loop(lambda c: c[0].episode < end, lambda c: self._block(*c, end), (loop, steps))
 
-    def _block(self, loop: _Loop, end: Array) -> _Loop:
-        """Up to `_BLOCK` steps, none after `end` episodes."""
-        words = random.WordBlock(self.key, loop.steps, _BLOCK, self.env.num_words + self.learner.num_words)
+    def _block(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
+        """Up to `_BLOCK` steps, none after `end` episodes; `steps` counts those of the whole run."""
+        words = random.WordBlock(self.key, steps.astype(jnp.uint32), _BLOCK, self.env.num_words + self.learner.num_words)
+
+        def step(carry: tuple[_Loop, Array], live: Array) -> tuple[_Loop, Array]:
+            return self._step(carry[0], words[carry[1]], live), carry[1] + live.astype(jnp.int32)
+
+        def episode(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & ~c[0].done, lambda c: step(c, jnp.bool_(True)), carry)
+            small = lax.cond(loop.done, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
+            return _with(loop, small), taken
+
+        def masked(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+            live = carry[0].episode < end
+            before, (loop, taken) = carry[0], step(carry, live)
+            begun = self._next_episode(loop)
+            small = jax.tree.map(
+                lambda new, ended, old: lax.select(jnp.broadcast_to(live, old.shape), lax.select(jnp.broadcast_to(loop.done, old.shape), ended, new), old),
+                _small(loop), _small(begun), _small(before),
+            )
+            return _with(loop, small), taken
+
+        start = (loop, jnp.int32(0))
         if self.lockstep:
-            return lax.fori_loop(0, _BLOCK, lambda i, c: self._step(c, words[i], c.episode < end), loop)
-        return lax.while_loop(
-            lambda carry: (carry[0] < _BLOCK) & (carry[1].episode < end),
-            lambda carry: (carry[0] + 1, self._step(carry[1], words[carry[0]], jnp.bool_(True))),
-            (jnp.int32(0), loop),
-        )[1]
+            loop, taken = lax.fori_loop(0, _BLOCK, masked, start)
+        else:
+            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].episode < end), episode, start)
+        return loop, steps + taken
+
+    def _next_episode(self, loop: _Loop) -> _Loop:
+        episode = loop.episode + 1
+        moment = Moment(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
+        control, first = self._begin(loop.learner.tables, episode, moment)
+        return loop._replace(
+            learner=loop.learner._replace(control=control), state=first, time=jnp.int32(0), episode=episode, done=jnp.bool_(False)
+        )
 
     def _step(self, loop: _Loop, words: tuple[Array, ...], live: Array) -> _Loop:
         """One primitive step, or none if not `live`."""
         own = self.env.num_words
         action = self.learner.action(loop.learner.control)
-        next_state, reward, terminated, events = self.transition(loop.state, action, words[:own])
+        next_state, terminated, counted = self.transition(loop.state, action, words[:own])
         time = loop.time + 1
-        done = terminated | (time >= self.params.max_steps)
-        step = Experience(loop.state, action, reward, next_state, terminated)
-        moment = Moment(loop.episode, live, self.zero, self.lockstep)
+        step = Experience(loop.state, action, counted[0], next_state, terminated)
+        moment = Moment(loop.episode, live, opaque_zero(words[0]), self.lockstep)
         learned = self.learner.learn(self.prepared, loop.learner, step, words[own:], moment)
-        control, state, time = lax.cond(
-            done,
-            lambda: (*self._begin(learned.tables, loop.episode + 1, live), jnp.int32(0)),
-            lambda: (learned.control, next_state, time),
-        )
-        counts = (jnp.int32(1), *events)
-        totals = _Totals(loop.totals.reward + reward, tuple(a + b for a, b in zip(loop.totals.counts, counts, strict=True)))
-        episode, steps = loop.episode + done.astype(jnp.int32), loop.steps + 1
-        small = (control, state, time, episode, steps, totals)
-        if self.lockstep:
-            before = (loop.learner.control, loop.state, loop.time, loop.episode, loop.steps, loop.totals)
-            small = jax.tree.map(lambda new, old: lax.select(live, new, old), small, before)
-        control, *rest = small
-        return _Loop(LearnerState(learned.tables, control), *rest)
+        done = terminated | (time >= self.params.max_steps)
+        return _Loop(learned, next_state, time, loop.episode, done, loop.sums + counted)
 
-    def _transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array, list[Array]]:
+    def _transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         after, reward, terminated, info = self.env.transition(self.env.decode(state), action, words, self.params)
-        return self.env.encode(after), reward, terminated, [info[name] for name in self.env.metrics]
+        counts = [info[name].astype(jnp.float32) for name in self.env.metrics]
+        return self.env.encode(after), terminated, jnp.stack([reward, *counts])
 
-    def _begin(self, tables: Any, episode: Array, live: Array) -> tuple[Any, Array]:
+    def _begin(self, tables: Any, episode: Array, moment: Moment) -> tuple[Any, Array]:
         """The learner's control and the first state of an episode."""
         own = self.env.num_initial_words
         words = random.words(self.key, episode.astype(jnp.uint32), own + self.learner.num_begin_words, _BEGIN_STREAM)
         first = self.env.encode(self.env.initial(words[:own], self.params))
-        # The run's last episode is followed by a beginning that no one uses; schedules end with the run.
-        moment = Moment(jnp.minimum(episode, self.num_episodes - 1), live, self.zero, self.lockstep)
+        # The last episode is followed by a beginning that no one uses; schedules end with the run.
+        moment = moment._replace(episode=jnp.minimum(episode, self.num_episodes - 1))
         return self.learner.begin(self.prepared, tables, first, words[own:], moment), first

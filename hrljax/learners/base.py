@@ -210,6 +210,8 @@ class Tabulated:
         return take(jnp.asarray(self.values), episode)
 
 
-def at_episode(value: Any, episode: Array) -> Array:
-    """A hyper-parameter's value (float32 scalar) in an episode."""
-    return value(episode) if isinstance(value, Tabulated) else jnp.asarray(value, jnp.float32)
+def at_episode(value: Any, episode: Array) -> Any:
+    """A hyper-parameter's value (float32 scalar, a constant if it is a plain number) in an episode."""
+    if isinstance(value, Tabulated):
+        return value(episode)
+    return np.float32(value) if isinstance(value, int | float) else jnp.asarray(value, jnp.float32)

@@ -48,8 +48,8 @@ class _OneStep(Learner):
             bootstrap = td.pick(row, action)
         else:
             action, bootstrap = td.greedy(row)
-        discount = lax.select(step.terminated, jnp.float32(0), at_episode(self.discount, moment.episode))
-        target = td.td_target(step.reward, discount, bootstrap, moment.zero)
+        bootstrap = lax.select(step.terminated, jnp.float32(0), bootstrap)
+        target = td.td_target(step.reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
         at = step.state * prepared + step.action
         old = take_row(state.tables, at, 1)
         new = td.increment(old, target[None], at_episode(self.step_size, moment.episode), moment.live, moment.zero)

@@ -33,9 +33,8 @@ class Tables(NamedTuple):
 class Control(NamedTuple):
     """Where the hierarchy is in its execution."""
 
-    task: Array  # int32: running subtask, counted without the root
-    action: Array  # int32: its next primitive action
-    decision: Decision  # the root's pending choice
+    action: Array  # int32: next primitive action
+    decision: Decision  # the root's choice: the running subtask
     discount: Array  # float32: discount of the running subtask's steps so far
 
 
@@ -93,7 +92,7 @@ class _Hierarchical(Learner):
         cells = (prepared.tasks.num_tasks - 1) * env.num_states * env.num_actions
         parts = jnp.tile(jnp.stack(self._initial_parts()), cells)
         nothing = jnp.int32(0)
-        control = Control(nothing, nothing, Decision(nothing, nothing, nothing), jnp.float32(1))
+        control = Control(nothing, Decision(nothing, nothing, nothing), jnp.float32(1))
         return LearnerState(Tables(parts, self.root.init(prepared.root)), control)
 
     def _initial_parts(self) -> td.Parts:
@@ -101,14 +100,14 @@ class _Hierarchical(Learner):
 
     def begin(self, prepared: Prepared, tables: Tables, first: Array, words: tuple[Array, ...], moment: Moment) -> Control:
         _, decision = self._decide(prepared, tables, first, words[0], moment, jnp.bool_(True))
-        return self._proceed(prepared, tables, decision.task, first, decision, jnp.float32(1), words[1], moment)
+        return self._proceed(prepared, tables, first, decision, jnp.float32(1), words[1], moment)
 
     def action(self, control: Control) -> Array:
         return control.action
 
     def learn(self, prepared: Prepared, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment) -> LearnerState:
         tables, control = state
-        task, after = control.task, step.next_state
+        task, after = control.decision.task, step.next_state
         still_active = take(jnp.asarray(prepared.active_bits), after) >> task.astype(jnp.uint32)
         exited = (still_active & np.uint32(1)) == 0
         discount = at_episode(self.discount, moment.episode)
@@ -123,16 +122,16 @@ class _Hierarchical(Learner):
 
         row = prepared.row(tables.parts, decision.task, after)
         child = td.greedy(self._worth(row))[0]
-        follows = td.Parts(*(td.pick(list(values), child) for values in zip(*row, strict=True)))
+        nothing = jnp.float32(0)
+        follows = td.Parts(*(lax.select(step.terminated, nothing, td.pick(list(v), child)) for v in zip(*row, strict=True)))
         pseudo = at_episode(self.pseudo_reward, moment.episode) * take(jnp.asarray(prepared.goal), task * prepared.num_states + after)
-        discount = lax.select(step.terminated, jnp.float32(0), discount)
         target = td.hordq_targets(step.reward, discount, exited, pseudo, follows, moment.zero)
         at = ((task * prepared.num_states + step.state) * prepared.num_actions + step.action) * _PARTS
         old = take_row(tables.parts, at, _PARTS)
         new = td.increment(old, jnp.stack(target), at_episode(self.step_size, moment.episode), moment.live, moment.zero)
         tables = tables._replace(parts=put_row(tables.parts, at, new))
         so_far = lax.select(exited, jnp.float32(1), so_far)
-        return LearnerState(tables, self._proceed(prepared, tables, decision.task, after, decision, so_far, words[1], moment))
+        return LearnerState(tables, self._proceed(prepared, tables, after, decision, so_far, words[1], moment))
 
     def _worth(self, row: list[td.Parts]) -> list[Array]:
         """What behaviour and bootstraps are greedy in: the value with the pseudo-reward."""
@@ -161,11 +160,11 @@ class _Hierarchical(Learner):
 
         return value
 
-    def _proceed(self, prepared, tables, task, state, decision, discount, word, moment) -> Control:
-        row = prepared.row(tables.parts, task, state)
+    def _proceed(self, prepared, tables, state, decision, discount, word, moment) -> Control:
+        row = prepared.row(tables.parts, decision.task, state)
         best = td.greedy(self._worth(row))[0]
         action = td.epsilon_greedy(best, prepared.num_actions, word, at_episode(self.epsilon, moment.episode))
-        return Control(task, action, decision, discount)
+        return Control(action, decision, discount)
 
 
 @lru_cache(maxsize=64)

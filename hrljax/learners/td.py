@@ -1,7 +1,7 @@
 """Update rules as pure scalar functions, in the manner of rlax.
 
-Suffixes: ``_tm1`` is the step that was taken, ``_t`` what it led to. `discount_t` is the discount
-factor, 0 where the episode terminated; a truncated episode keeps its bootstrap.
+The suffix ``_t`` marks what a step led to. Values of a next state are 0 where the episode
+terminated; a truncated episode keeps its bootstrap.
 """
 
 from typing import NamedTuple
@@ -35,13 +35,13 @@ def increment(old: Array, target: Array, step_size: Array, live: Array, zero: Ar
     return old + lax.select(jnp.broadcast_to(live, old.shape), change, jnp.zeros_like(old))
 
 
-def td_target(reward_t: Array, discount_t: Array, value_t: Array, zero: Array) -> Array:
+def td_target(reward_t: Array, discount_t: Array | np.float32, value_t: Array, zero: Array) -> Array:
     """``r + discount * value``: of Q-learning with the greatest value, of SARSA with the next action's."""
     return reward_t + exact_product(discount_t, value_t, zero)
 
 
 def hordq_targets(
-    reward_t: Array, discount_t: Array, exited: Array, pseudo_reward_t: Array, next_t: Parts, zero: Array
+    reward_t: Array, discount_t: Array | np.float32, exited: Array, pseudo_reward_t: Array, next_t: Parts, zero: Array
 ) -> Parts:
     """Targets of HORDQ (thesis eq. 3.10-3.12) for one child that has just ended in one subtask.
 
@@ -52,11 +52,12 @@ def hordq_targets(
 
     Args:
         reward_t: reward since the child began.
-        discount_t: discount to the power of the child's steps; 0 if the episode terminated.
+        discount_t: discount to the power of the child's steps.
         exited: bool, the subtask ended.
         pseudo_reward_t: paid if `exited`; not discounted.
         next_t: values at the next state, of the child that the bootstrap picks: in the same
-            subtask if it goes on, else in the next subtask of the leaf cover.
+            subtask if it goes on, else in the next subtask of the leaf cover; 0 if the episode
+            terminated.
         zero: see `hrljax.numerics.opaque_zero`.
     """
     nothing = jnp.zeros_like(reward_t)
@@ -72,13 +73,20 @@ def hordq_targets(
 
 
 def greedy(values: list[Array]) -> tuple[Array, Array]:
-    """Index (int32) and value of the greatest of a few scalars; ties go to the first."""
-    best, index = values[0], jnp.int32(0)
-    for i, value in enumerate(values[1:], start=1):
-        is_better = value > best
-        best = lax.select(is_better, value, best)
-        index = lax.select(is_better, jnp.int32(i), index)
-    return index, best
+    """Index (int32) and value of the greatest of a few scalars; ties go to the first.
+
+    A tournament on bits: selects would become branches, which a learning agent makes unpredictable.
+    """
+    players = [(jnp.int32(i), value) for i, value in enumerate(values)]
+    while len(players) > 1:
+        winners = [_winner(*pair) for pair in zip(players[::2], players[1::2], strict=False)]
+        players = winners + players[2 * len(winners) :]
+    return players[0]
+
+
+def _winner(left: tuple[Array, Array], right: tuple[Array, Array]) -> tuple[Array, Array]:
+    mask = -(right[1] > left[1]).astype(jnp.int32)
+    return left[0] ^ ((left[0] ^ right[0]) & mask), lax.max(left[1], right[1])
 
 
 def pick(values: list[Array], index: Array) -> Array:
