@@ -175,10 +175,9 @@ class _Trainer:
         interval = self.learner.planning_interval
         if interval:
             moment = Moment(loop.episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
-            tables = lax.cond(
+            tables = moment.when(
                 loop.episode % interval == 0,
-                lambda tables: self.learner.plan(self.prepared, tables, moment),
-                lambda tables: tables,
+                lambda tables, now: self.learner.plan(self.prepared, tables, now),
                 loop.learner.tables,
             )
             loop = loop._replace(learner=loop.learner._replace(tables=tables))

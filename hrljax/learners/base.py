@@ -96,23 +96,18 @@ class Moment(NamedTuple):
     lockstep: bool = False
     """Static: many runs take their steps together, so that a branch costs as much as both its sides."""
 
-    def when(
-        self, condition: Array, update: Callable[[Any, "Moment"], tuple[Any, Any]], tables: Any, otherwise: Any
-    ) -> tuple[Any, Any]:
-        """``update(tables, moment)`` where `condition` holds, else ``(tables, otherwise)``.
+    def when(self, condition: Array, update: Callable[[Any, "Moment"], Any], tables: Any) -> Any:
+        """``update(tables, moment)`` where `condition` holds, else `tables`.
 
-        `update` returns changed tables and a few scalars. In lockstep it always runs and has to
-        leave the tables alone where the moment that it is given is not live.
+        In lockstep `update` always runs and has to leave the tables alone where the moment that it
+        is given is not live.
         """
-        if not self.lockstep:
-            return lax.cond(condition, lambda t: update(t, self), lambda t: (t, otherwise), tables)
-            # A loop changes its tables in place; a branch would copy them.
-            _, tables, result = lax.while_loop(
-                lambda carry: carry[0], lambda carry: (jnp.bool_(False), *update(carry[1], self)), (condition, tables, otherwise)
-            )
-            return tables, result
-        tables, result = update(tables, self._replace(live=self.live & condition))
-        return tables, jax.tree.map(lambda new, old: lax.select(condition, new, old), result, otherwise)
+        if self.lockstep:
+            return update(tables, self._replace(live=self.live & condition))
+        # A loop of at most one turn changes its tables in place; a branch would copy them.
+        return lax.while_loop(
+            lambda carry: carry[0], lambda carry: (jnp.bool_(False), update(carry[1], self)), (condition, tables)
+        )[1]
 
 
 class Experience(NamedTuple):
@@ -173,7 +168,10 @@ class Learner(Settings, ABC):
         """Learns from one step and chooses the next action."""
 
     def plan(self, prepared: Any, tables: Any, moment: Moment) -> Any:
-        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`."""
+        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`.
+
+        Leaves them alone where `moment` is not live.
+        """
         return tables
 
 

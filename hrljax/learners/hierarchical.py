@@ -99,7 +99,7 @@ class _Hierarchical(Learner):
         raise NotImplementedError
 
     def begin(self, prepared: Prepared, tables: Tables, first: Array, words: tuple[Array, ...], moment: Moment) -> Control:
-        _, decision = self._decide(prepared, tables, first, words[0], moment, jnp.bool_(True))
+        decision, _ = self._decide(prepared, tables, first, words[0], moment)
         return self._proceed(prepared, tables, first, decision, jnp.float32(1), words[1], moment)
 
     def action(self, control: Control) -> Array:
@@ -113,12 +113,21 @@ class _Hierarchical(Learner):
         discount = at_episode(self.discount, moment.episode)
         so_far = control.discount * discount
 
-        def hand_over(root: Any, now: Moment) -> tuple[Any, Decision]:
-            root = self.root.observe(prepared.root, root, control.decision, after, step.terminated, so_far, now)
-            return self._decide(prepared, tables._replace(root=root), after, words[0], now, ~step.terminated)
-
-        root, decision = moment.when(exited | step.terminated, hand_over, tables.root, control.decision)
-        tables = tables._replace(root=root)
+        if self.root.learns:
+            root = moment.when(
+                exited | step.terminated,
+                lambda root, now: self.root.observe(
+                    prepared.root, root, control.decision, after, step.terminated, so_far, now
+                ),
+                tables.root,
+            )
+            tables = tables._replace(root=root)
+        decision, found = lax.cond(
+            exited & ~step.terminated & moment.live,
+            lambda: self._decide(prepared, tables, after, words[0], moment),
+            lambda: (control.decision, self.root.kept(prepared.root, tables.root, control.decision)),
+        )
+        tables = tables._replace(root=self.root.record(prepared.root, tables.root, decision, found))
 
         row = prepared.row(tables.parts, decision.task, after)
         child = td.greedy(self._worth(row))[0]
@@ -140,15 +149,15 @@ class _Hierarchical(Learner):
         return [v.reward + v.completion + v.pseudo for v in row]
 
     def _decide(
-        self, prepared: Prepared, tables: Tables, state: Array, word: Array, moment: Moment, goes_on: Array
-    ) -> tuple[Any, Decision]:
-        """The root's choice in a state, and its tables with what it found out while choosing."""
-        now = moment._replace(live=moment.live & goes_on)
+        self, prepared: Prepared, tables: Tables, state: Array, word: Array, moment: Moment
+    ) -> tuple[Decision, Any]:
         epsilon = at_episode(self.epsilon, moment.episode)
-        return self.root.choose(prepared.root, tables.root, self._child_value(prepared, tables), state, word, epsilon, now)
+        return self.root.choose(
+            prepared.root, tables.root, self._child_value(prepared, tables), state, word, epsilon, moment.zero
+        )
 
     def plan(self, prepared: Prepared, tables: Tables, moment: Moment) -> Tables:
-        return tables._replace(root=self.root.plan(prepared.root, tables.root, self._child_value(prepared, tables), moment))
+        return tables._replace(root=self.root.plan(prepared.root, tables.root, moment))
 
     def _child_value(self, prepared: Prepared, tables: Tables) -> ChildValue:
         """Q_r of a subtask for its parent, by recursion (thesis eq. 3.3): at what it would do itself."""

@@ -3,7 +3,6 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +15,8 @@ from hrljax.hierarchy import Hierarchy
 from hrljax.learners import td
 from hrljax.learners.base import Hyperparameter, Moment, Settings, hyperparameter
 from hrljax.learners.task_tables import TaskTables, planning_points, tabulate
-from hrljax.models.multi_time import expectation, updated_row
-from hrljax.numerics import put_row, take, take_row
+from hrljax.models.multi_time import expectation, updated
+from hrljax.numerics import put_row, stage, take, take_row
 from hrljax.planners.abstract_dp import DecisionPoints, backup, sweep
 from hrljax.random import threshold
 
@@ -37,6 +36,8 @@ class Root(Settings):
     """How the root chooses among the subtasks that can be invoked; scalar, as `Learner`."""
 
     name: str
+    learns = False
+    """Whether `observe`, `record` and `plan` do anything."""
 
     @property
     def planning_interval(self) -> int:
@@ -47,15 +48,15 @@ class Root(Settings):
     def prepare(self, hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> Any:
         """Tables that the root needs, made once on the host."""
 
-    @abstractmethod
     def init(self, prepared: Any) -> Any:
         """What the root has learned before the first episode."""
+        return ()
 
     @abstractmethod
     def choose(
-        self, prepared: Any, tables: Any, child_value: ChildValue, state: Array, word: Array, epsilon: Array, moment: Moment
-    ) -> tuple[Any, Decision]:
-        """A choice in a state, and the tables with what was found out while choosing."""
+        self, prepared: Any, tables: Any, child_value: ChildValue, state: Array, word: Array, epsilon: Any, zero: Array
+    ) -> tuple[Decision, Any]:
+        """A choice in a state, and what was found out on the way, for `record`."""
 
     def observe(
         self, prepared: Any, tables: Any, decision: Decision, after: Array, terminated: Array, discount: Array, moment: Moment
@@ -66,7 +67,15 @@ class Root(Settings):
         """
         return tables
 
-    def plan(self, prepared: Any, tables: Any, child_value: ChildValue, moment: Moment) -> Any:
+    def kept(self, prepared: Any, tables: Any, decision: Decision) -> Any:
+        """What `record` has kept where `decision` was taken."""
+        return ()
+
+    def record(self, prepared: Any, tables: Any, decision: Decision, found: Any) -> Any:
+        """Keeps what `choose` found out."""
+        return tables
+
+    def plan(self, prepared: Any, tables: Any, moment: Moment) -> Any:
         """Plans between two episodes."""
         return tables
 
@@ -80,24 +89,22 @@ class RandomRoot(Root):
     def prepare(self, hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTables:
         return tabulate(hierarchy, env)
 
-    def init(self, prepared: TaskTables) -> tuple[()]:
-        return ()
-
     def choose(
-        self, prepared: TaskTables, tables: Any, child_value: ChildValue, state: Array, word: Array, epsilon: Array, moment: Moment
-    ) -> tuple[Any, Decision]:
+        self, prepared: TaskTables, tables: Any, child_value: ChildValue, state: Array, word: Array, epsilon: Any, zero: Array
+    ) -> tuple[Decision, Any]:
         count = take(jnp.asarray(prepared.root_counts), state)
         slot = (word % count.astype(jnp.uint32)).astype(jnp.int32)
         width = prepared.root_children.shape[1]
         task = take(jnp.asarray(prepared.root_children.ravel()), state * width + slot) - 1
-        return tables, Decision(task, jnp.int32(0), slot)
+        return Decision(task, jnp.int32(0), slot), ()
 
 
 class ModelTables(NamedTuple):
-    """What a `ModelRoot` has learned."""
+    """What a `ModelRoot` has learned; X, K, M and Y as in `DecisionPoints`."""
 
-    rows: Array  # [X * K * Y * (M + 2)] float32: the multi-time model and each subtask's last known Q_r
+    model: Array  # [X * K * (M + 1) * Y] float32, see `hrljax.models.multi_time`
     values: Array  # [X * Y] float32: value of each decision point
+    until_end: Array  # [X * K * Y] float32: Q_r of each subtask when the root last decided there
 
 
 @dataclass(frozen=True)
@@ -118,87 +125,107 @@ class ModelRoot(Root):
     step_size: Hyperparameter = hyperparameter(0.1, 0, 1, low_open=True)
     unknown_value: Hyperparameter = hyperparameter(-30.0)
     interval: int = 25
-    sweeps: int = 4
+    sweeps: int = 16
 
     name = "model"
+    learns = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for option, least in (("interval", 1), ("sweeps", 0)):
             value = getattr(self, option)
-            if not isinstance(value, int) or value < least:
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise ValueError(f"ModelRoot: {option} must be an integer of at least {least}, got {value!r}")
 
     @property
     def planning_interval(self) -> int:
-        return self.interval
+        return self.interval if self.sweeps else 0
 
     def prepare(self, hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> DecisionPoints:
         return planning_points(hierarchy, env)
 
     def init(self, prepared: DecisionPoints) -> ModelTables:
-        rows = prepared.can_invoke.size * (prepared.num_outcomes + 2)
-        values = jnp.full(prepared.num_points, jnp.asarray(self.unknown_value, jnp.float32))
-        return ModelTables(jnp.zeros(rows, jnp.float32), values)
+        points = prepared
+        entries = len(points.tasks) * (points.num_outcomes + 1) * points.num_y
+        values = jnp.full(points.num_points, self._unknown())
+        return ModelTables(jnp.zeros(entries, jnp.float32), values, jnp.zeros(points.can_invoke.size, jnp.float32))
 
     def choose(
-        self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, state: Array, word: Array, epsilon: Array, moment: Moment
-    ) -> tuple[Any, Decision]:
+        self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, state: Array, word: Array, epsilon: Any, zero: Array
+    ) -> tuple[Decision, Any]:
         points = prepared
         point = take(jnp.asarray(points.point), state)
         x, y = point // points.num_y, point % points.num_y
         tasks, worth, allowed, until_ends = [], [], [], []
         for slot in range(points.num_slots):
-            row, outcomes = self._row(points, tables, x, y, jnp.int32(slot))
-            task = take(jnp.asarray(points.tasks), x * points.num_slots + slot)
-            can_invoke = take(jnp.asarray(points.can_invoke.ravel()), (x * points.num_slots + slot) * points.num_y + y)
-            follows = [take(tables.values, lax.max(outcomes[m], jnp.int32(0)) * points.num_y + y) for m in range(points.num_outcomes)]
-            expected = expectation([row[m] for m in range(points.num_outcomes)], follows, moment.zero)
-            until_end = child_value(task, state)
-            worth.append(backup(row[-2] > 0, until_end, expected, can_invoke, self._unknown()))
-            tasks.append(task)
+            pair = x * points.num_slots + slot
+            first = pair * (points.num_outcomes + 1) * points.num_y + y
+            *model, count = (take(tables.model, first + m * points.num_y) for m in range(points.num_outcomes + 1))
+            outcomes = take_row(jnp.asarray(np.maximum(points.outcomes, 0)), pair * points.num_outcomes, points.num_outcomes)
+            after = [take(tables.values, outcomes[m] * points.num_y + y) for m in range(points.num_outcomes)]
+            can_invoke = take(jnp.asarray(points.can_invoke.ravel()), pair * points.num_y + y)
+            tasks.append(take(jnp.asarray(points.tasks), pair))
+            until_ends.append(child_value(tasks[-1], state))
+            worth.append(backup(count > 0, until_ends[-1], expectation(model, after, zero), can_invoke, self._unknown()))
             allowed.append(can_invoke)
-            until_ends.append(lax.select(moment.live, until_end, row[-1]))
-        rows = tables.rows
-        for slot, until_end in enumerate(until_ends):
-            rows = put_row(rows, self._row_start(points, x, y, jnp.int32(slot)) + (points.num_outcomes + 1), until_end[None])
         best, value = td.greedy(worth)
-        kept = lax.select(moment.live, value, take(tables.values, point))
-        values = put_row(tables.values, point, kept[None])
         slot = lax.select(word < threshold(epsilon), _nth_allowed(allowed, word), best)
-        return ModelTables(rows, values), Decision(td.pick(tasks, slot), point, slot)
+        return Decision(td.pick(tasks, slot), point, slot), (value, *until_ends)
 
     def observe(
         self, prepared: DecisionPoints, tables: ModelTables, decision: Decision, after: Array, terminated: Array, discount: Array, moment: Moment
     ) -> ModelTables:
         points = prepared
         x, y = decision.point // points.num_y, decision.point % points.num_y
-        row, outcomes = self._row(points, tables, x, y, decision.slot)
+        pair = x * points.num_slots + decision.slot
+        places = [(pair * (points.num_outcomes + 1) + m) * points.num_y + y for m in range(points.num_outcomes + 1)]
+        outcomes = take_row(jnp.asarray(points.outcomes), pair * points.num_outcomes, points.num_outcomes)
         weight = lax.select(terminated, jnp.float32(0), discount)
         outcome = take(jnp.asarray(points.planning), after)
         step_size = jnp.asarray(self.step_size, jnp.float32)
-        new = updated_row(row[:-1], outcomes, outcome, weight, step_size, moment.live, moment.zero)
-        return tables._replace(rows=put_row(tables.rows, self._row_start(points, x, y, decision.slot), new))
-
-    def plan(self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, moment: Moment) -> ModelTables:
-        rows = tables.rows.reshape(-1, prepared.num_outcomes + 2)
-        model, until_end = rows[:, :-1], rows[:, -1]
-        values = lax.fori_loop(
-            0, self.sweeps, lambda _, v: sweep(prepared, model, until_end, v, self._unknown(), moment.zero), tables.values
+        new = stage(updated)(
+            [take(tables.model, place) for place in places],
+            [outcomes[m] for m in range(points.num_outcomes)],
+            outcome, weight, step_size, moment.live, moment.zero,
         )
+        model = tables.model
+        for place, entry in zip(places, new, strict=True):
+            model = put_row(model, place, entry[None])
+        return tables._replace(model=model)
+
+    def kept(self, prepared: DecisionPoints, tables: ModelTables, decision: Decision) -> tuple[Array, ...]:
+        until_ends = (take(tables.until_end, place) for place in self._places(prepared, decision))
+        return (take(tables.values, decision.point), *until_ends)
+
+    def record(
+        self, prepared: DecisionPoints, tables: ModelTables, decision: Decision, found: tuple[Array, ...]
+    ) -> ModelTables:
+        value, *until_ends = found
+        kept = tables.until_end
+        for place, until_end in zip(self._places(prepared, decision), until_ends, strict=True):
+            kept = put_row(kept, place, until_end[None])
+        return tables._replace(values=put_row(tables.values, decision.point, value[None]), until_end=kept)
+
+    def plan(self, prepared: DecisionPoints, tables: ModelTables, moment: Moment) -> ModelTables:
+        points = prepared
+        model = tables.model.reshape(-1, points.num_outcomes + 1, points.num_y)
+        until_end = tables.until_end.reshape(-1, points.num_y)
+
+        def again(_: Array, values: Array) -> Array:
+            return sweep(points, model, until_end, values, self._unknown(), moment.zero)
+
+        values = lax.fori_loop(0, self.sweeps, again, tables.values.reshape(points.num_x, points.num_y)).ravel()
+        if moment.lockstep:
+            values = lax.select(jnp.broadcast_to(moment.live, values.shape), values, tables.values)
         return tables._replace(values=values)
+
+    def _places(self, points: DecisionPoints, decision: Decision) -> list[Array]:
+        """Where `until_end` of the decision point's subtasks are kept."""
+        x, y = decision.point // points.num_y, decision.point % points.num_y
+        return [(x * points.num_slots + slot) * points.num_y + y for slot in range(points.num_slots)]
 
     def _unknown(self) -> Array:
         return jnp.asarray(self.unknown_value, jnp.float32)
-
-    def _row_start(self, points: DecisionPoints, x: Array, y: Array, slot: Array) -> Array:
-        return ((x * points.num_slots + slot) * points.num_y + y) * (points.num_outcomes + 2)
-
-    def _row(self, points: DecisionPoints, tables: ModelTables, x: Array, y: Array, slot: Array) -> tuple[Array, Array]:
-        """The model's row of a subtask and the planning parts that its entries stand for."""
-        outcomes_at = (x * points.num_slots + slot) * points.num_outcomes
-        outcomes = take_row(jnp.asarray(points.outcomes), outcomes_at, points.num_outcomes)
-        return take_row(tables.rows, self._row_start(points, x, y, slot), points.num_outcomes + 2), outcomes
 
 
 def _nth_allowed(allowed: list[Array], word: Array) -> Array:

@@ -15,6 +15,10 @@ from hrljax.planners.abstract_dp import DecisionPoints
 from hrljax.solvers.model import Model
 
 
+_LANES = 8
+"""float32 numbers in a vector register."""
+
+
 @dataclass(frozen=True, eq=False)
 class TaskTables:
     """What a tabular hierarchical learner reads of a hierarchy. Subtasks are numbered, the root is 0."""
@@ -102,18 +106,19 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
     x_of, x_names = _numbered(over_states(abstraction.planning, env), decides)
     y_of, y_names = _numbered(over_states(abstraction.environment, env), decides)
     in_grid = (x_of >= 0) & (y_of >= 0)
-    points = x_of * len(y_names) + y_of
-    state = np.zeros(len(x_names) * len(y_names), np.int32)
+    num_y = -(-len(y_names) // _LANES) * _LANES
+    points = x_of * num_y + y_of
+    state = np.zeros(len(x_names) * num_y, np.int32)
     state[points[in_grid]] = np.flatnonzero(in_grid)
     if len(np.unique(points[in_grid])) < in_grid.sum():
         raise ValueError(f"the abstraction of {hierarchy.root.name!r} gives two states the same two parts")
     exists = np.bincount(points[in_grid], minlength=len(state)).astype(np.bool_).reshape(len(x_names), -1)
 
-    invocable = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), len(y_names))
+    invocable = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), num_y)
     somewhere = invocable.any(2)
     num_slots = max(int(somewhere.sum(0).max()), 1)
     tasks = np.zeros((len(x_names), num_slots), np.int32)
-    can_invoke = np.zeros((len(x_names), num_slots, len(y_names)), np.bool_)
+    can_invoke = np.zeros((len(x_names), num_slots, num_y), np.bool_)
     outcomes: list[list[int]] = []
     leaves = {task: _exits(tables.active[task + 1], model, over_states(abstraction.planning, env)) for task in range(len(invocable))}
     for x in range(len(x_names)):
@@ -127,7 +132,7 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
     padded = np.array([found + [-1] * (widest - len(found)) for found in outcomes], np.int32)
     return DecisionPoints(
         num_x=len(x_names),
-        num_y=len(y_names),
+        num_y=num_y,
         point=np.where(in_grid, points, 0).astype(np.int32),
         planning=x_of.astype(np.int32),
         state=state,

@@ -85,8 +85,9 @@ def greedy(values: list[Array]) -> tuple[Array, Array]:
 
 
 def _winner(left: tuple[Array, Array], right: tuple[Array, Array]) -> tuple[Array, Array]:
-    mask = -(right[1] > left[1]).astype(jnp.int32)
-    return left[0] ^ ((left[0] ^ right[0]) & mask), lax.max(left[1], right[1])
+    right_wins = right[1] > left[1]
+    mask = -right_wins.astype(jnp.int32)
+    return left[0] ^ ((left[0] ^ right[0]) & mask), lax.select(right_wins, right[1], left[1])
 
 
 def pick(values: list[Array], index: Array) -> Array:

@@ -1,8 +1,8 @@
 """The multi-time model of a subtask's outcomes (thesis eq. 4.3-4.4; Precup and Sutton 1997).
 
 For each decision point and subtask: the discounted probability ``sum_N gamma^N P(x', N)`` that the
-subtask ends in the planning state x'. Only outcomes that can occur are stored, so that one row fits
-a cache line; the last entry of a row counts the times that the subtask was tried.
+subtask ends in the planning state x'. Only the M outcomes that can occur are stored, and after them
+how often the subtask was tried. The entries of all environment parts lie side by side.
 """
 
 import jax.numpy as jnp
@@ -12,27 +12,33 @@ from hrljax.learners.td import increment
 from hrljax.numerics import exact_product
 
 
-def updated_row(
-    row: Array, outcomes: Array, outcome: Array, weight: Array, step_size: Array, live: Array, zero: Array
-) -> Array:
-    """The row of a subtask that has just ended (eq. 4.4).
+def updated(
+    entries: list[Array],
+    outcomes: list[Array],
+    outcome: Array,
+    weight: Array,
+    step_size: Array,
+    live: Array,
+    zero: Array,
+) -> list[Array]:
+    """The entries of a subtask that has just ended (eq. 4.4).
 
-    The step size is ``max(step_size, 1 / n)`` at the n-th time: a constant one from an empty row
+    The step size is ``max(step_size, 1 / n)`` at the n-th time: a constant one from empty entries
     would leave probabilities that sum to less than one for many trials, which looks like a reward.
 
     Args:
-        row: ``[M + 1]`` float32, M probabilities and the count.
-        outcomes: ``[M]`` int32 planning states, repeated ones never occur; unused ones negative.
+        entries: float32 scalars, M probabilities and the count.
+        outcomes: M int32 planning parts, no two alike; unused ones negative.
         outcome: int32, where the subtask ended.
         weight: float32, discount to the power of its steps; 0 if the episode terminated.
         step_size: float32.
         live, zero: as in `hrljax.learners.td.increment`.
     """
-    count = row[-1]
+    *probabilities, count = entries
     size = lax.max(step_size, 1 / (count + 1))
-    target = lax.select(outcomes == outcome, jnp.broadcast_to(weight, outcomes.shape), jnp.zeros_like(row[:-1]))
-    probabilities = increment(row[:-1], target, size, live, zero)
-    return jnp.concatenate([probabilities, (count + live.astype(jnp.float32))[None]])
+    targets = [lax.select(reached == outcome, weight, jnp.zeros_like(weight)) for reached in outcomes]
+    new = [increment(old, target, size, live, zero) for old, target in zip(probabilities, targets, strict=True)]
+    return [*new, count + live.astype(jnp.float32)]
 
 
 def expectation(probabilities: list[Array], values: list[Array], zero: Array) -> Array:

@@ -18,7 +18,8 @@ from hrljax.models.multi_time import expectation
 class DecisionPoints:
     """X planning parts times Y environment parts; K subtasks at most in one, M outcomes each.
 
-    Point ``x * Y + y``; model rows are in the order ``[X, K, Y]``.
+    Point ``x * Y + y``. Y is rounded up to whole vector registers: in a sweep, what is computed for
+    one environment part is computed for all.
     """
 
     num_x: int
@@ -49,30 +50,27 @@ def backup(known: Array, until_end: Array, after_end: Array, can_invoke: Array, 
     return lax.select(can_invoke, value, jnp.full_like(value, -jnp.inf))
 
 
-def sweep(points: DecisionPoints, rows: Array, until_end: Array, values: Array, unknown_value: Array, zero: Array) -> Array:
+def sweep(points: DecisionPoints, model: Array, until_end: Array, values: Array, unknown_value: Array, zero: Array) -> Array:
     """One Jacobi sweep over all decision points.
 
     Args:
         points: the decision points.
-        rows: ``[X * K * Y, M + 1]`` float32, rows of the multi-time model.
-        until_end: ``[X * K * Y]`` float32, value of each subtask until it ends (Q_r + Q_c of it).
-        values: ``[X * Y]`` float32.
-        unknown_value: float32 scalar.
+        model: ``[X * K, M + 1, Y]`` float32, see `hrljax.models.multi_time`.
+        until_end: ``[X * K, Y]`` float32, value of each subtask until it ends (Q_r + Q_c of it).
+        values: ``[X, Y]`` float32.
+        unknown_value: float32 scalar, of a subtask that was never tried.
         zero: see `hrljax.numerics.opaque_zero`.
 
     Returns:
-        ``[X * Y]`` float32.
+        ``[X, Y]`` float32.
     """
-    shape = (points.num_x, points.num_slots, points.num_y)
-    outcomes = np.maximum(points.outcomes, 0).reshape(*shape[:2], 1, points.num_outcomes)
-    follows = (outcomes * shape[2] + np.arange(shape[2])[:, None]).reshape(-1, points.num_outcomes)
-    probabilities = [rows[:, m] for m in range(points.num_outcomes)]
-    after = [values.at[follows[:, m]].get(mode="promise_in_bounds") for m in range(points.num_outcomes)]
-    expected = expectation(probabilities, after, zero)
-    can_invoke = jnp.asarray(points.can_invoke.ravel())
-    q = backup(rows[:, -1] > 0, until_end, expected, can_invoke, unknown_value).reshape(shape)
-    best = q[:, 0]
-    for slot in range(1, shape[1]):
-        best = lax.max(best, q[:, slot])
-    best = lax.select(jnp.asarray(points.can_invoke.any(1)), best, jnp.broadcast_to(unknown_value, best.shape))
-    return best.ravel()
+    outcomes = np.maximum(points.outcomes, 0).reshape(-1, points.num_outcomes)
+    *probabilities, count = (model[:, m] for m in range(points.num_outcomes + 1))
+    after = [values.at[outcomes[:, m]].get(mode="promise_in_bounds") for m in range(points.num_outcomes)]
+    can_invoke = jnp.asarray(points.can_invoke.reshape(until_end.shape))
+    worth = backup(count > 0, until_end, expectation(probabilities, after, zero), can_invoke, unknown_value)
+    by_slot = worth.reshape(points.can_invoke.shape)
+    best = by_slot[:, 0]
+    for slot in range(1, points.num_slots):
+        best = lax.select(by_slot[:, slot] > best, by_slot[:, slot], best)
+    return lax.select(jnp.asarray(points.can_invoke.any(1)), best, jnp.broadcast_to(unknown_value, best.shape))
