@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from hrljax import random
@@ -29,6 +30,9 @@ class Run(NamedTuple):
     steps: Array  # int32: primitive steps of the whole run
 
 
+_RUNNING, _TERMINATED, _TRUNCATED = np.int32(0), np.int32(1), np.int32(2)
+
+
 class _Loop(NamedTuple):
     """What changes from step to step. A native loop pays for every entry, so there are few."""
 
@@ -36,8 +40,8 @@ class _Loop(NamedTuple):
     state: Array  # int32 number of the environment's state
     time: Array  # int32 steps taken in this episode
     episode: Array  # int32 episodes finished
-    done: Array  # bool: the episode is over, another has to begin
-    sums: Array  # [1 + events] float32: reward and events of the environment, over the bin
+    ended: Array  # int32: whether the episode is over, see below
+    sums: Array  # [1 + events + 1] float32, over the bin: reward, events, truncated episodes
 
 
 def _small(loop: _Loop) -> tuple[Any, ...]:
@@ -49,8 +53,12 @@ def _with(loop: _Loop, small: tuple[Any, ...]) -> _Loop:
 
 
 def metric_names(env: Env) -> tuple[str, ...]:
-    """Names of the entries of `Run.metrics`: return, length (steps), and the environment's events."""
-    return ("return", "length", *env.metrics)
+    """Names of the entries of `Run.metrics`, per episode.
+
+    Return, length (steps), the environment's events, and truncated: 1 if the episode was cut off by
+    the limit of steps.
+    """
+    return ("return", "length", *env.metrics, "truncated")
 
 
 def bin_sizes(num_episodes: int, bin_size: int) -> list[int]:
@@ -135,7 +143,7 @@ class _Trainer:
         state = self.learner.init(self.env, self.prepared)
         zero = jnp.int32(0)
         control, first = self._begin(state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep))
-        start = (_Loop(state._replace(control=control), first, zero, zero, jnp.bool_(False), self._nothing()), zero)
+        start = (_Loop(state._replace(control=control), first, zero, zero, jnp.int32(_RUNNING), self._nothing()), zero)
 
         def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Array, Array]]:
             end = jnp.minimum((number + 1) * bin_size, self.num_episodes)
@@ -164,11 +172,11 @@ class _Trainer:
         return Run(loop.learner.tables, metrics, values, steps)
 
     def _evaluate(self, tables: Any) -> Array:
-        return self.learner.greedy_return(self.env, self.prepared, tables, self.params)
+        return self.learner.greedy_return(self.env, self.prepared, tables, self.params, opaque_zero(self.key[0]))
 
     def _nothing(self) -> Array:
         """The sums of a bin before its first step."""
-        return jnp.zeros(1 + len(self.env.metrics), jnp.float32)
+        return jnp.zeros(2 + len(self.env.metrics), jnp.float32)
 
     def _between_plans(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
         """Plans if it is time to, and runs episodes until it is time again or `end` is reached."""
@@ -192,8 +200,8 @@ class _Trainer:
             return self._step(carry[0], words[carry[1]], live), carry[1] + live.astype(jnp.int32)
 
         def episode(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
-            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & ~c[0].done, lambda c: step(c, jnp.bool_(True)), carry)
-            small = lax.cond(loop.done, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
+            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].ended == _RUNNING), lambda c: step(c, jnp.bool_(True)), carry)
+            small = lax.cond(loop.ended != _RUNNING, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
             return _with(loop, small), taken
 
         def masked(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
@@ -201,7 +209,7 @@ class _Trainer:
             before, (loop, taken) = carry[0], step(carry, live)
             begun = self._next_episode(loop)
             small = jax.tree.map(
-                lambda new, ended, old: lax.select(jnp.broadcast_to(live, old.shape), lax.select(jnp.broadcast_to(loop.done, old.shape), ended, new), old),
+                lambda new, ended, old: lax.select(jnp.broadcast_to(live, old.shape), lax.select(jnp.broadcast_to(loop.ended != _RUNNING, old.shape), ended, new), old),
                 _small(loop), _small(begun), _small(before),
             )
             return _with(loop, small), taken
@@ -217,8 +225,14 @@ class _Trainer:
         episode = loop.episode + 1
         moment = Moment(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
         control, first = self._begin(loop.learner.tables, episode, moment)
-        return loop._replace(
-            learner=loop.learner._replace(control=control), state=first, time=jnp.int32(0), episode=episode, done=jnp.bool_(False)
+        truncated = (loop.ended == _TRUNCATED).astype(jnp.float32)
+        return _Loop(
+            learner=loop.learner._replace(control=control),
+            state=first,
+            time=jnp.int32(0),
+            episode=episode,
+            ended=jnp.int32(_RUNNING),
+            sums=loop.sums.at[-1].add(truncated),
         )
 
     def _step(self, loop: _Loop, words: tuple[Array, ...], live: Array) -> _Loop:
@@ -230,13 +244,14 @@ class _Trainer:
         step = Experience(loop.state, action, counted[0], next_state, terminated)
         moment = Moment(loop.episode, live, opaque_zero(words[0]), self.lockstep)
         learned = self.learner.learn(self.prepared, loop.learner, step, words[own:], moment)
-        done = terminated | (time >= self.params.max_steps)
-        return _Loop(learned, next_state, time, loop.episode, done, loop.sums + counted)
+        ended = lax.select(time >= self.params.max_steps, jnp.int32(_TRUNCATED), jnp.int32(_RUNNING))
+        ended = lax.select(terminated, jnp.int32(_TERMINATED), ended)
+        return _Loop(learned, next_state, time, loop.episode, ended, loop.sums + counted)
 
     def _transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         after, reward, terminated, info = self.env.transition(self.env.decode(state), action, words, self.params)
         counts = [info[name].astype(jnp.float32) for name in self.env.metrics]
-        return self.env.encode(after), terminated, jnp.stack([reward, *counts])
+        return self.env.encode(after), terminated, jnp.stack([reward, *counts, jnp.float32(0)])
 
     def _begin(self, tables: Any, episode: Array, moment: Moment) -> tuple[Any, Array]:
         """The learner's control and the first state of an episode."""

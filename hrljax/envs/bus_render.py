@@ -63,7 +63,7 @@ def draw_map(env: Bus, ax: Axes | None = None, state: BusState | None = None) ->
     """Draws the map and, with a `state`, the bus, the waiting passengers and the construction."""
     scene = _Scene() if state is None else _scene_of(env, state)
     axes = _draw_ground(env, ax, scene).axes
-    axes.set_title("" if state is None else _status(env.layout, scene))
+    axes.title.set_text("" if state is None else _status(env.layout, scene))
     return axes
 
 
@@ -93,11 +93,12 @@ def draw_value(
     values = _slice(env, scene, "value", value, "fiu", "real numbers").astype(np.float64)
     occurs = _occurs(env.layout, scene)
     coloured = np.ma.masked_array(values, ~(occurs & np.isfinite(values)))
-    image = _draw_ground(env, _new_axes(env.layout, beside=1.0) if ax is None else ax, scene, coloured)
+    image = _draw_ground(env, _new_axes(env.layout, beside=1.1) if ax is None else ax, scene, coloured)
     decimals = int(np.clip(2 - np.floor(np.log10(max([1e-9, *np.abs(coloured.compressed())]))), 0, 3))
     for row, column in np.argwhere(occurs).tolist():
-        _write(image.axes, column, row, f"{values[row, column]:.{decimals}f}", 0.24)
-    image.axes.figure.colorbar(image, cax=image.axes.inset_axes((1.04, 0.0, 0.05, 1.0)), label="expected return")
+        _write(image.axes, column, row, f"{values[row, column]:z.{decimals}f}", 0.22)
+    bar = image.axes.inset_axes((1 + 0.25 / values.shape[1], 0.0, 0.3 / values.shape[1], 1.0))
+    image.axes.figure.colorbar(image, cax=bar, label="expected return")
     return image.axes
 
 
@@ -117,10 +118,10 @@ def _integer(argument: str, value: ArrayLike, largest: int, meaning: str) -> int
 
 def _scene(env: Bus, damaged: ArrayLike, picked: ArrayLike, road: ArrayLike, prefix: str = "") -> _Scene:
     roads = ", ".join(f"{i}: {name}" for i, name in enumerate(("no construction", *env.layout.site_names)))
-    everyone = (1 << len(env.layout.passengers)) - 1
+    count = len(env.layout.passengers)
     return _Scene(
         damaged=_integer(f"{prefix}damaged", damaged, 1, "0: sound, 1: damaged"),
-        picked=_integer(f"{prefix}picked", picked, everyone, "bit i: passenger i is on board"),
+        picked=_integer(f"{prefix}picked", picked, 2**count - 1, "bit i: passenger i is on board"),
         road=_integer(f"{prefix}road", road, env.num_sites, roads),
     )
 
@@ -173,9 +174,9 @@ def _new_axes(layout: BusMap, beside: float = 0.0) -> Axes:
     """Axes for a map with `beside` inches to their right."""
     scale = min(0.75, 24.0 / max(layout.height, layout.width))
     width, height = layout.width * scale, layout.height * scale
-    full_width, full_height = max(width, 3.5) + 0.2 + beside, height + 0.45
-    left = (full_width - beside - width) / 2
-    extent = (left / full_width, 0.1 / full_height, width / full_width, height / full_height)
+    full_width, full_height = max(width, 4.0) + 0.2 + beside, max(height, 1.5) + 0.45
+    left, bottom = (full_width - beside - width) / 2, (full_height - 0.25 - height) / 2
+    extent = (left / full_width, bottom / full_height, width / full_width, height / full_height)
     return Figure(figsize=(full_width, full_height)).add_axes(extent)
 
 
@@ -197,15 +198,13 @@ def _draw_ground(env: Bus, ax: Axes | None, scene: _Scene, values: np.ndarray | 
     is_door = ~is_wall & (layout.area[layout.neighbour] != layout.area[:, None])
     styles = (~is_wall & ~is_door, "white", 0.015, "-"), (is_door, _FAINT, 0.03, ":"), (is_wall, _INK, 0.07, "-")
     for chosen, colour, width, style in styles:
-        points = width * _cell_points(ax)
-        lines = LineCollection(list(edge[chosen]), colors=colour, linewidths=points, linestyles=style, clip_on=False)
-        ax.add_collection(lines, autolim=False)
+        lines = LineCollection(list(edge[chosen]), colors=colour, linewidths=width * _cell_points(ax), linestyles=style)
+        ax.add_collection(lines, autolim=False).set_clip_on(False)
 
     for area, name in enumerate(layout.area_names):
         x, y = _centre(layout, int(np.argmax(layout.area == area)))
         _write(ax, x - 0.34, y - 0.32, name, 0.24, weight="bold")
-    x, y = _centre(layout, layout.start)
-    _write(ax, x + 0.34, y + 0.32, "S", 0.24, weight="bold")
+    _write(ax, layout.start % layout.width + 0.34, layout.start // layout.width + 0.32, "S", 0.24, weight="bold")
     for cell, move in np.argwhere(layout.site * (0, 1, 1, 0)).tolist():
         _draw_site(env, ax, cell, move, is_closed=layout.site[cell, move] == scene.road)
     for i, cell in _waiting(layout, scene).items():
@@ -222,7 +221,7 @@ def _draw_site(env: Bus, ax: Axes, cell: int, move: int, is_closed: bool) -> Non
     if is_closed:
         reach, width, height = (1.0, 1.0, 1.0) if env.site == "cell" else (0.5, 0.16 + 0.7 * down, 0.16 + 0.7 * right)
         corner = x + reach * right - width / 2, y + reach * down - height / 2
-        ax.add_patch(Rectangle(corner, width, height, facecolor="white", edgecolor=_ALARM, hatch="/////", zorder=2.5))
+        ax.add_patch(Rectangle(corner, width, height, facecolor="#FFF9", edgecolor=_ALARM, hatch="////", zorder=2.5))
     middle, colour = (x + right / 2, y + down / 2), _ALARM if is_closed else _FAINT
     ax.add_patch(Circle(middle, 0.15, facecolor="white", edgecolor=colour, linewidth=0.03 * _cell_points(ax), zorder=3))
     _write(ax, *middle, env.layout.site_names[env.layout.site[cell, move] - 1], 0.2, colour, weight="bold")

@@ -174,6 +174,10 @@ class Learner(Settings, ABC):
         """
         return tables
 
+    @abstractmethod
+    def greedy_return(self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array) -> Array:
+        """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
+
 
 def tabulated(learner: Learner, num_episodes: int) -> Learner:
     """The learner with every schedule replaced by the float32 table of its values, one per episode.

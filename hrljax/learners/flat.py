@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
+from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.numerics import put_row, take_row
@@ -57,6 +59,14 @@ class _OneStep(Learner):
         if not self._on_policy:
             action = self._choose(_row(tables, step.next_state, prepared), words[0], moment)
         return LearnerState(tables, action)
+
+    def greedy_return(
+        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Array, params: Any, zero: Array
+    ) -> Array:
+        actions = jnp.argmax(tables.reshape(-1, prepared), axis=-1).astype(jnp.int32)
+        always = np.ones((1, env.num_states), np.bool_)
+        policy = HierarchicalPolicy(actions[None], always, jnp.ones((env.num_states, 1), jnp.float32))
+        return expected_return(env, policy, params, zero)
 
     def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
         return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))

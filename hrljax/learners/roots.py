@@ -58,6 +58,10 @@ class Root(Settings):
     ) -> tuple[Decision, Any]:
         """A choice in a state, and what was found out on the way, for `record`."""
 
+    @abstractmethod
+    def probabilities(self, prepared: Any, tables: Any, child_value: ChildValue, state: Array, zero: Array) -> Array:
+        """How likely each subtask is to be invoked without exploration, ``[tasks]`` float32."""
+
     def observe(
         self, prepared: Any, tables: Any, decision: Decision, after: Array, terminated: Array, discount: Array, moment: Moment
     ) -> Any:
@@ -97,6 +101,17 @@ class RandomRoot(Root):
         width = prepared.root_children.shape[1]
         task = take(jnp.asarray(prepared.root_children.ravel()), state * width + slot) - 1
         return Decision(task, jnp.int32(0), slot), ()
+
+
+    def probabilities(
+        self, prepared: TaskTables, tables: Any, child_value: ChildValue, state: Array, zero: Array
+    ) -> Array:
+        invocable = np.zeros(prepared.active.shape, np.float32)
+        for slot in range(prepared.root_children.shape[1]):
+            where = np.flatnonzero(prepared.root_counts > slot)
+            invocable[prepared.root_children[where, slot], where] = 1
+        share = invocable[1:] / np.maximum(prepared.root_counts, 1)
+        return jnp.asarray(share.T.astype(np.float32))[state]
 
 
 class ModelTables(NamedTuple):
@@ -171,6 +186,12 @@ class ModelRoot(Root):
         best, value = td.greedy(worth)
         slot = lax.select(word < threshold(epsilon), _nth_allowed(allowed, word), best)
         return Decision(td.pick(tasks, slot), point, slot), (value, *until_ends)
+
+    def probabilities(
+        self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, state: Array, zero: Array
+    ) -> Array:
+        decision, _ = self.choose(prepared, tables, child_value, state, jnp.uint32(0), np.float32(0), zero)
+        return (jnp.arange(prepared.num_tasks, dtype=jnp.int32) == decision.task).astype(jnp.float32)
 
     def observe(
         self, prepared: DecisionPoints, tables: ModelTables, decision: Decision, after: Array, terminated: Array, discount: Array, moment: Moment

@@ -133,6 +133,7 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
     return DecisionPoints(
         num_x=len(x_names),
         num_y=num_y,
+        num_tasks=tables.num_tasks - 1,
         point=np.where(in_grid, points, 0).astype(np.int32),
         planning=x_of.astype(np.int32),
         state=state,

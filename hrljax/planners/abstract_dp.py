@@ -24,6 +24,7 @@ class DecisionPoints:
 
     num_x: int
     num_y: int
+    num_tasks: int  # subtasks without the root
     point: np.ndarray  # [S] int32: point of a state (0 where the root never decides)
     planning: np.ndarray  # [S] int32: x of a state, -1 where the root never decides
     state: np.ndarray  # [X * Y] int32

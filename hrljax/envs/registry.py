@@ -1,0 +1,39 @@
+"""Environments by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+from hrljax.envs.base import Environment
+from hrljax.envs.bus import Bus
+
+_ENVIRONMENTS: dict[str, Callable[..., Environment[Any, Any]]] = {}
+
+
+def register(name: str, make: Callable[..., Environment[Any, Any]]) -> None:
+    """Makes an environment known to `make`.
+
+    Raises:
+        ValueError: the name is taken.
+    """
+    if name in _ENVIRONMENTS:
+        raise ValueError(f"an environment named {name!r} is registered already")
+    _ENVIRONMENTS[name] = make
+
+
+def registered() -> tuple[str, ...]:
+    """Names that `make` knows."""
+    return tuple(sorted(_ENVIRONMENTS))
+
+
+def make(name: str, **options: Any) -> Any:
+    """An environment by name, for example ``make("Bus", site="cell")``.
+
+    Raises:
+        ValueError: an unknown name; the message lists the known ones.
+    """
+    if name not in _ENVIRONMENTS:
+        raise ValueError(f"unknown environment {name!r}; known are {', '.join(registered())}")
+    return _ENVIRONMENTS[name](**options)
+
+
+register("Bus", Bus)

@@ -1,0 +1,1 @@
+"""The experiments of the thesis: settings, runs and analysis. Scripts are thin programs over them."""

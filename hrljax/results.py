@@ -1,0 +1,40 @@
+"""Results on disk: Zarr stores that xarray opens."""
+
+import shutil
+from pathlib import Path
+
+import xarray as xr
+
+
+def save(dataset: xr.Dataset, path: str | Path) -> None:
+    """Saves a dataset of `hrljax.sweep` as a Zarr store, replacing one that is there.
+
+    The store is written beside its place first: a store that can be seen is whole.
+
+    Raises:
+        OSError: `path` cannot be written, or is something other than a Zarr store.
+    """
+    path = Path(path)
+    if path.exists() and not (path / "zarr.json").exists():
+        raise FileExistsError(f"{path} exists and is no Zarr store; it is left alone")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        dataset.to_zarr(partial, mode="w", consolidated=False)
+        shutil.rmtree(path, ignore_errors=True)
+        partial.rename(path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def load(path: str | Path) -> xr.Dataset:
+    """Loads a dataset that `save` wrote, into memory.
+
+    Raises:
+        FileNotFoundError: there is no Zarr store at `path`.
+    """
+    if not (Path(path) / "zarr.json").exists():
+        raise FileNotFoundError(f"no Zarr store at {path}")
+    with xr.open_zarr(path, consolidated=False) as store:
+        return store.load()

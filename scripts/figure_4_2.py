@@ -1,0 +1,71 @@
+"""Learning curves of the Bus domain (thesis Figure 4.2): a picture, a table and the numbers."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from hrljax import results
+from hrljax.batch import Mapping
+from hrljax.experiments import figure_4_2
+from hrljax.train import check_count
+
+
+@dataclass(frozen=True)
+class Options:
+    """Learning curves of the Bus domain (thesis Figure 4.2).
+
+    Writes figure_4_2.png, figure_4_2.csv, summary.json and, for every curve, a Zarr store. summary.json
+    holds "exact" (expected returns by dynamic programming: "optimal" by road status and its "mean",
+    "blind", "avoid", "no_sites", "epsilon_soft") and "curves" (for each: "name", "panel",
+    "mean_return" with "ci95", "bins" with "from", "to", "mean", "lo", "hi", "damage_per_episode" in
+    the last bin, "truncated_per_episode", "steps_per_second", "seconds", "compile_seconds").
+    """
+
+    seeds: int = 200
+    """Runs of each curve."""
+    episodes: int = 20_000
+    """Episodes of each run."""
+    out: Path = Path("runs/figure_4_2")
+    """Folder for what is written."""
+    cores: int | None = None
+    """Cores to use; all if not given."""
+    mapping: Mapping = "auto"
+    """How runs are mapped: native loops on CPUs, vmap elsewhere."""
+    key: int = 0
+    """Seed of all random numbers."""
+
+
+def main(options: Options) -> int:
+    check_count("--seeds", options.seeds)
+    check_count("--episodes", options.episodes)
+    if options.cores is not None:
+        check_count("--cores", options.cores)
+    options.out.mkdir(parents=True, exist_ok=True)
+    exact = figure_4_2.exact()
+    finished, rows, complete = [], [], True
+    for curve, dataset in figure_4_2.run(options.seeds, options.episodes, options.cores, options.mapping, options.key):
+        finished.append((curve, dataset))
+        rows.append(figure_4_2.summary_row(curve, dataset))
+        results.save(dataset, options.out / "curves" / f"{len(rows):02d}.zarr")
+        complete = bool(dataset.attrs["complete"])
+        row = rows[-1]
+        print(f"{row['name']:>36} {row['mean_return']:8.2f}  {row['seconds']:6.1f} s", file=sys.stderr, flush=True)
+    (options.out / "summary.json").write_text(json.dumps({"exact": exact, "curves": rows}, indent=1) + "\n")
+    (options.out / "figure_4_2.csv").write_text(figure_4_2.csv(finished))
+    figure_4_2.picture(finished, exact).savefig(options.out / "figure_4_2.png", dpi=110)
+    print(figure_4_2.table(rows))
+    print(f"\noptimum {exact['optimal']['mean']:.2f}, best epsilon-soft policy {exact['epsilon_soft']:.2f}")
+    print(f"written to {options.out}")
+    if not complete:
+        print("interrupted: only what was finished is there", file=sys.stderr)
+    return 0 if complete else 130
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(Options)))
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")

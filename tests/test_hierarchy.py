@@ -1,0 +1,145 @@
+"""Task hierarchies: which graphs are allowed, what they cover, and the standard one of the Bus."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hrljax.envs.bus import Bus, BusState
+from hrljax.hierarchy import Hierarchy, Subtask
+
+MOVES = ("north", "south", "east", "west")
+TAXI_ACTIONS = (*MOVES, "pickup", "putdown")
+
+
+def task(name: str, *children: str) -> Subtask:
+    return Subtask(name, children, lambda state: jnp.bool_(False))
+
+
+def taxi(*navigate_children: str) -> Hierarchy:
+    """The task graph of the Taxi domain, with a given list of children for Navigate."""
+    return Hierarchy(
+        TAXI_ACTIONS,
+        [
+            task("Root", "Get", "Put"),
+            task("Get", "pickup", "Navigate"),
+            task("Put", "putdown", "Navigate"),
+            task("Navigate", *navigate_children),
+        ],
+    )
+
+
+def chain(length: int) -> Hierarchy:
+    names = [f"T{i}" for i in range(length)] + ["go"]
+    return Hierarchy(["go"], [task(a, b) for a, b in zip(names, names[1:], strict=False)])
+
+
+@pytest.mark.parametrize(
+    ("subtasks", "message"),
+    [
+        ([], "at least one subtask"),
+        ([task("Root", "A", "go"), task("A", "go"), task("A", "go")], "name 'A' is used 2 times"),
+        ([task("Root", "go"), task("go", "stop")], "name 'go' is used 2 times"),
+        ([task("Root", "A"), task("A")], "subtask 'A' has no children"),
+        ([task("Root", "A", "go"), task("A", "B")], "subtask 'A' has an unknown child 'B'"),
+        ([task("Root", "A", "go", "A"), task("A", "go")], "subtask 'Root' names its child 'A' twice"),
+        ([task("Root", "A"), task("A", "go", "A")], "subtask 'A' can invoke itself: Root -> A -> A"),
+        (
+            [task("Root", "A"), task("A", "go", "B"), task("B", "C"), task("C", "A", "stop")],
+            "subtask 'A' can invoke itself: Root -> A -> B -> C -> A",
+        ),
+        ([task("Root", "go", "A"), task("A", "Root")], "subtask 'Root' can invoke itself: Root -> A -> Root"),
+        ([task("Root", "go"), task("A", "stop")], "subtask 'A' cannot be reached from the root 'Root'"),
+    ],
+    ids=["empty", "twice", "like-an-action", "childless", "unknown", "slot", "direct", "indirect", "root", "orphan"],
+)
+def test_bad_graphs_are_refused_by_name(subtasks: list[Subtask], message: str):
+    with pytest.raises(ValueError, match=message):
+        Hierarchy(["go", "stop"], subtasks)
+
+
+def test_actions_have_names_of_their_own():
+    with pytest.raises(ValueError, match="name 'go' is used 2 times"):
+        Hierarchy(["go", "go"], [task("Root", "go")])
+
+
+def test_subtasks_are_found_by_name_and_position():
+    graph = taxi(*MOVES)
+    assert graph.root is graph["Root"] is graph.subtasks[0]
+    assert [graph.index(t.name) for t in graph.subtasks] == [0, 1, 2, 3]
+    assert graph.is_primitive("pickup") and not graph.is_primitive("Navigate")
+    assert graph.actions == TAXI_ACTIONS
+    assert repr(graph).startswith("Hierarchy(Root -> Get, Put; Get -> pickup, Navigate;")
+    with pytest.raises(KeyError, match="Nowhere"):
+        graph["Nowhere"]
+
+
+def test_depth_is_the_longest_path():
+    assert [chain(n).depth for n in (1, 2, 5)] == [1, 2, 5]
+    assert taxi(*MOVES).depth == 3
+    lopsided = Hierarchy(["go"], [task("Root", "go", "A"), task("A", "B"), task("B", "go")])
+    assert lopsided.depth == 3
+
+
+def test_the_leaf_cover_of_taxi_is_not_total():
+    graph = taxi(*MOVES)
+    assert graph.leaf_cover() == ("Get", "Put", "Navigate")
+    assert graph.reachable_actions("Navigate") == set(MOVES)
+    assert graph.reachable_actions("Get") == {*MOVES, "pickup"}
+    assert graph.reachable_actions("Root") == set(TAXI_ACTIONS)
+    assert not graph.is_total_leaf_cover()
+
+
+def test_the_leaf_cover_of_taxi_is_total_once_navigate_may_pick_up_and_put_down():
+    graph = taxi(*MOVES, "pickup", "putdown")
+    assert graph.leaf_cover() == ("Get", "Put", "Navigate")
+    assert graph.is_total_leaf_cover()
+    assert not taxi(*MOVES, "pickup").is_total_leaf_cover()
+
+
+def test_a_total_leaf_cover_holds_every_leaf_and_may_hold_more():
+    graph = taxi(*MOVES, "pickup", "putdown")
+    assert graph.is_total_leaf_cover(["Root", "Get", "Put", "Navigate"])
+    assert not graph.is_total_leaf_cover(["Get", "Put"])
+    assert not graph.is_total_leaf_cover(["Root"])
+
+
+def test_the_bus_has_a_root_over_one_move_for_each_area(bus: Bus):
+    graph = bus.hierarchy()
+    moves = tuple(f"Move({i})" for i in range(1, 7))
+    assert graph.root.name == "Root" and graph.root.children == moves
+    assert all(graph[m].children == bus.action_names for m in moves)
+    assert graph.depth == 2 and graph.leaf_cover() == moves and graph.is_total_leaf_cover()
+    assert bus.hierarchy() is graph
+
+
+def test_a_move_of_the_bus_is_active_next_to_its_area_and_its_goal_is_the_area(bus: Bus):
+    graph = bus.hierarchy()
+    states = jax.vmap(bus.decode)(jnp.arange(bus.num_states, dtype=jnp.int32))
+    row, column = np.divmod(np.asarray(states.cell), 6)
+    area = 1 + 2 * (row // 2) + column // 3
+    doors = {(1, 2), (1, 3), (3, 4), (3, 5), (2, 4), (4, 6), (5, 6)}
+    for target in range(1, 7):
+        move = graph[f"Move({target})"]
+        near = [i for pair in doors if target in pair for i in pair if i != target]
+        ended = jax.jit(jax.vmap(move.termination))(states)
+        assert ended.dtype == jnp.bool_
+        np.testing.assert_array_equal(~np.asarray(ended), np.isin(area, near))
+        np.testing.assert_array_equal(jax.jit(jax.vmap(move.goal))(states), area == target)
+    assert not jnp.any(jax.vmap(graph.root.termination)(states))
+
+
+def test_the_root_of_the_bus_splits_the_state_into_where_and_how(bus: Bus):
+    """Planning part: cell and passengers; environment part: damage and roads. Together, the state."""
+    parts = bus.hierarchy().root.abstraction
+    assert parts is not None
+
+    def numbers(state: BusState) -> tuple[jax.Array, jax.Array]:
+        return parts.planning(state), parts.environment(state)
+
+    states = jax.vmap(bus.decode)(jnp.arange(bus.num_states, dtype=jnp.int32))
+    planning, environment = map(np.asarray, jax.vmap(numbers)(states))
+    assert planning.dtype == environment.dtype == np.int32
+    assert set(planning) == set(range(288)) and set(environment) == set(range(8))
+    assert len(set(zip(planning.tolist(), environment.tolist(), strict=True))) == bus.num_states
+    np.testing.assert_array_equal(environment, np.asarray(states.damaged * 4 + states.road))
