@@ -1,5 +1,7 @@
 """Task hierarchies: which graphs are allowed, what they cover, and the standard one of the Bus."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +33,7 @@ def taxi(*navigate_children: str) -> Hierarchy:
 
 def chain(length: int) -> Hierarchy:
     names = [f"T{i}" for i in range(length)] + ["go"]
-    return Hierarchy(["go"], [task(a, b) for a, b in zip(names, names[1:], strict=False)])
+    return Hierarchy(["go"], [task(a, b) for a, b in itertools.pairwise(names)])
 
 
 @pytest.mark.parametrize(
@@ -67,7 +69,8 @@ def test_subtasks_are_found_by_name_and_position():
     graph = taxi(*MOVES)
     assert graph.root is graph["Root"] is graph.subtasks[0]
     assert [graph.index(t.name) for t in graph.subtasks] == [0, 1, 2, 3]
-    assert graph.is_primitive("pickup") and not graph.is_primitive("Navigate")
+    assert graph.is_primitive("pickup")
+    assert not graph.is_primitive("Navigate")
     assert graph.actions == TAXI_ACTIONS
     assert repr(graph).startswith("Hierarchy(Root -> Get, Put; Get -> pickup, Navigate;")
     with pytest.raises(KeyError, match="Nowhere"):
@@ -107,9 +110,12 @@ def test_a_total_leaf_cover_holds_every_leaf_and_may_hold_more():
 def test_the_bus_has_a_root_over_one_move_for_each_area(bus: Bus):
     graph = bus.hierarchy()
     moves = tuple(f"Move({i})" for i in range(1, 7))
-    assert graph.root.name == "Root" and graph.root.children == moves
+    assert graph.root.name == "Root"
+    assert graph.root.children == moves
     assert all(graph[m].children == bus.action_names for m in moves)
-    assert graph.depth == 2 and graph.leaf_cover() == moves and graph.is_total_leaf_cover()
+    assert graph.depth == 2
+    assert graph.leaf_cover() == moves
+    assert graph.is_total_leaf_cover()
     assert bus.hierarchy() is graph
 
 
@@ -140,6 +146,7 @@ def test_the_root_of_the_bus_splits_the_state_into_where_and_how(bus: Bus):
     states = jax.vmap(bus.decode)(jnp.arange(bus.num_states, dtype=jnp.int32))
     planning, environment = map(np.asarray, jax.vmap(numbers)(states))
     assert planning.dtype == environment.dtype == np.int32
-    assert set(planning) == set(range(288)) and set(environment) == set(range(8))
+    assert set(planning) == set(range(288))
+    assert set(environment) == set(range(8))
     assert len(set(zip(planning.tolist(), environment.tolist(), strict=True))) == bus.num_states
     np.testing.assert_array_equal(environment, np.asarray(states.damaged * 4 + states.road))

@@ -16,7 +16,8 @@ TRIPLES = np.random.default_rng(0).standard_normal((3, 100_000)).astype(np.float
 @settings(deadline=None, max_examples=200)
 def test_opaque_zero_is_zero(word: int):
     zero = opaque_zero(jnp.uint32(word))
-    assert zero == 0 and zero.dtype == jnp.uint32
+    assert zero == 0
+    assert zero.dtype == jnp.uint32
 
 
 def test_opaque_zero_is_zero_of_many_words():
@@ -43,7 +44,7 @@ def test_an_exact_product_is_rounded_before_it_is_added():
 
 def test_an_exact_product_in_a_loop_of_scalars_is_rounded_before_it_is_added():
     """The training loop's shape: a recurrence whose last bits depend on every rounding before."""
-    a, b, c = TRIPLES[:, :2_000]
+    a, b, _ = TRIPLES[:, :2_000]
 
     def body(total: jax.Array, triple: tuple[jax.Array, ...]) -> tuple[jax.Array, None]:
         x, y, word = triple

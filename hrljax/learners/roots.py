@@ -139,8 +139,8 @@ class ModelRoot(Root):
 
     step_size: Hyperparameter = hyperparameter(0.1, 0, 1, low_open=True)
     unknown_value: Hyperparameter = hyperparameter(-30.0)
-    interval: int = 25
-    sweeps: int = 16
+    interval: int = 5
+    sweeps: int = 5
 
     name = "model"
     learns = True

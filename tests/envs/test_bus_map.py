@@ -53,7 +53,8 @@ def test_the_shipped_map_has_two_sites_seen_from_both_sides():
     assert bus_map.site_names == ("A", "B")
     found = {(c, m): int(bus_map.site[c, m]) for c, m in np.argwhere(bus_map.site).tolist()}
     assert found == {(14, EAST): 1, (15, WEST): 1, (23, SOUTH): 2, (29, NORTH): 2}
-    assert bus_map.neighbour[14, EAST] == 15 and bus_map.neighbour[23, SOUTH] == 29
+    assert bus_map.neighbour[14, EAST] == 15
+    assert bus_map.neighbour[23, SOUTH] == 29
 
 
 def test_the_shipped_map_has_seven_doors():
@@ -75,7 +76,8 @@ def test_cells_of_one_area_are_joined_on_the_shipped_map():
 
 def test_without_sites_has_walls_where_the_sites_were():
     walled = KAO_V1.replace("A", "|").replace(" B ", "---")
-    assert parse(KAO_V1).site_names == ("A", "B") and parse(walled).site_names == ()
+    assert parse(KAO_V1).site_names == ("A", "B")
+    assert parse(walled).site_names == ()
     np.testing.assert_array_equal(parse(KAO_V1).without_sites().neighbour, parse(walled).neighbour)
     assert not parse(KAO_V1).without_sites().site.any()
 
@@ -89,9 +91,11 @@ def test_names_are_numbered_in_their_own_order_whatever_the_reading_order():
     text = SMALL.replace("1", "b").replace("2", "a")
     text = changed(changed(text, 3, 2, " Z "), 4, 5, "C")
     bus_map = parse(text)
-    assert bus_map.area_names == ("a", "b") and bus_map.site_names == ("C", "Z")
+    assert bus_map.area_names == ("a", "b")
+    assert bus_map.site_names == ("C", "Z")
     np.testing.assert_array_equal(bus_map.area, [1, 0, 1, 0])
-    assert bus_map.site[0, SOUTH] == 2 and bus_map.site[2, EAST] == 1
+    assert bus_map.site[0, SOUTH] == 2
+    assert bus_map.site[2, EAST] == 1
 
 
 def test_one_site_may_span_several_edges():
@@ -163,7 +167,8 @@ def test_any_map_reads_as_it_was_drawn(drawing: Drawing):
         return
     bus_map = parse(drawing.text())
     cells = np.arange(bus_map.num_cells)
-    assert bus_map.start == drawing.start and bus_map.passengers == tuple(sorted(drawing.passengers))
+    assert bus_map.start == drawing.start
+    assert bus_map.passengers == tuple(sorted(drawing.passengers))
     assert [bus_map.area_names[a] for a in bus_map.area] == drawing.areas
     for move, edges, offset in ((EAST, drawing.east, 1), (SOUTH, drawing.south, drawing.width)):
         expected = [c if e == "|" else c + offset for c, e in zip(cells, edges, strict=True)]
