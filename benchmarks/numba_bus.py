@@ -1,16 +1,18 @@
 """The Bus learners as hand-written numba loops: the practical limit of one core.
 
-One seed after the other, one row of a table a state, inline xorshift random numbers. The
-algorithms, the initial values and the planning work are those of hrljax's learners; the random
-numbers are not, so that curves agree in distribution only.
+One seed after the other, one row of a table a state, inline xorshift random numbers. Algorithms,
+initial values and planning work are those of hrljax's learners; random numbers are not, so that
+curves agree in distribution only.
 """
 
 import numba
 import numpy as np
 
-EPS = np.float32(0.1)
+EPSILON = 0.1
 ALPHA = np.float32(0.1)
 MAX_STEPS = 1000
+STATES = 2304
+TASKS = 6
 
 
 @numba.njit(inline="always")
@@ -26,8 +28,8 @@ def _below(bits, p):
 
 
 @numba.njit(inline="always")
-def _initial(moves_start, x):
-    return (moves_start << 6) | np.int32((x >> np.uint64(32)) % np.uint64(3))
+def _initial(start, x):
+    return (start << 6) | np.int32((x >> np.uint64(32)) % np.uint64(3))
 
 
 @numba.njit(inline="always")
@@ -53,7 +55,8 @@ def _step(moves, start, state, action, x, y):
 
 @numba.njit
 def q_learning(seed, episodes, bins, initial, moves, start):
-    q = np.full((2304, 4), initial, np.float32)
+    """Q-learning: sums of return, steps, damage and breakdowns by bin; steps."""
+    q = np.full((STATES, 4), initial, np.float32)
     out = np.zeros((bins, 4), np.float64)
     x = np.uint64(seed * 2654435761 + 88172645463325252)
     steps = 0
@@ -65,7 +68,7 @@ def q_learning(seed, episodes, bins, initial, moves, start):
             x = _next(x)
             y = _next(x)
             a = 0
-            if _below(x, EPS):
+            if _below(x, EPSILON):
                 a = np.int32((x >> np.uint64(24)) & np.uint64(3))
             else:
                 best = q[s, 0]
@@ -100,156 +103,128 @@ def _greedy(q, row):
     return a
 
 
+@numba.njit(inline="always")
+def _backup(model, until_end, values, outcomes, unknown, i, k, j, num_m):
+    """Value of subtask slot k at planning part i and environment part j."""
+    if model[i, k, num_m, j] == 0:
+        return unknown
+    value = until_end[i, k, j]
+    for m in range(num_m):
+        outcome = outcomes[i, k, m]
+        if outcome < 0:
+            break
+        value += model[i, k, m, j] * values[outcome, j]
+    return value
+
+
 @numba.njit
-def hordq(seed, episodes, bins, initial, kappa, plan, interval, sweeps, unknown,
-          moves, start, active, goal, children, counts,
-          point, planning, tasks, can_invoke, outcomes, num_y):
-    """HORDQ under a random root (`plan` False) or the planning root."""
-    size = 2304
-    width = children.shape[1]
-    q = np.zeros((6 * size, 4, 4), np.float32)
+def _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown):
+    num_x, slots, num_m = outcomes.shape
+    for i in range(num_x):
+        for j in range(values.shape[1]):
+            best = np.float32(-np.inf)
+            for k in range(slots):
+                if can_invoke[i, k, j]:
+                    best = max(best, _backup(model, until_end, values, outcomes, unknown, i, k, j, num_m))
+            fresh[i, j] = best
+
+
+@numba.njit(inline="always")
+def _decide(q, s, x, y, point, tasks, can_invoke, outcomes, model, until_end, values, unknown):
+    """The planning root's choice: task, planning part, environment part and slot."""
+    _, slots, num_m = outcomes.shape
+    num_y = values.shape[1]
+    i, j = point[s] // num_y, point[s] % num_y
+    best, slot, allowed = np.float32(-np.inf), 0, 0
+    for k in range(slots):
+        if not can_invoke[i, k, j]:
+            continue
+        allowed += 1
+        row = tasks[i * slots + k] * STATES + s
+        b = _greedy(q, row)
+        until_end[i, k, j] = q[row, b, 0] + q[row, b, 1]
+        value = _backup(model, until_end, values, outcomes, unknown, i, k, j, num_m)
+        if value > best:
+            best, slot = value, k
+    values[i, j] = best
+    if _below(x >> np.uint64(20), EPSILON):
+        skip = np.int32((y >> np.uint64(44)) & np.uint64(0xFFFF)) % allowed
+        for k in range(slots):
+            if can_invoke[i, k, j]:
+                if skip == 0:
+                    slot = k
+                skip -= 1
+    return tasks[i * slots + slot], i, j, slot
+
+
+@numba.njit
+def hordq(
+    seed, episodes, bins, initial, kappa, plan, interval, sweeps, unknown,
+    moves, start, active, goal, children, counts, point, planning, tasks, can_invoke, outcomes,
+):  # fmt: skip
+    """HORDQ under a random root, or if `plan` under the planning root; results as `q_learning`."""
+    q = np.zeros((TASKS * STATES, 4, 4), np.float32)
     q[:, :, 2] = initial
     out = np.zeros((bins, 4), np.float64)
-    kappa = np.float32(kappa)
     num_x, slots, num_m = outcomes.shape
-    rows = np.zeros((num_x, slots, num_y, num_m + 2), np.float32)
+    num_y = can_invoke.shape[2]
+    model = np.zeros((num_x, slots, num_m + 1, num_y), np.float32)
+    until_end = np.zeros((num_x, slots, num_y), np.float32)
     values = np.full((num_x, num_y), unknown, np.float32)
     fresh = np.zeros((num_x, num_y), np.float32)
-    worth = np.zeros(slots, np.float32)
     x = np.uint64(seed * 2654435761 + 88172645463325252)
     steps = 0
-    task = slot = px = py = 0
+    task = i = j = slot = 0
     for episode in range(episodes):
         if plan and episode % interval == 0:
             for _ in range(sweeps):
-                for i in range(num_x):
-                    for j in range(num_y):
-                        best = np.float32(-np.inf)
-                        for k in range(slots):
-                            if can_invoke[i, k, j]:
-                                v = np.float32(unknown)
-                                if rows[i, k, j, num_m] > 0:
-                                    v = rows[i, k, j, num_m + 1]
-                                    for m in range(num_m):
-                                        o = outcomes[i, k, m]
-                                        if o < 0:
-                                            break
-                                        v += rows[i, k, j, m] * values[o, j]
-                                best = max(best, v)
-                        fresh[i, j] = best
+                _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown)
                 values, fresh = fresh, values
         x = _next(x)
+        y = _next(x)
         s = _initial(start, x)
-        decide = True
+        x = y
+        if plan:
+            task, i, j, slot = _decide(
+                q, s, x, y, point, tasks, can_invoke, outcomes, model, until_end, values, unknown
+            )
+        else:
+            task = children[s, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s]] - 1
         out_row = out[episode * bins // episodes]
         for _ in range(MAX_STEPS):
             x = _next(x)
             y = _next(x)
-            if decide:
-                if plan:
-                    p = point[s]
-                    px, py = p // num_y, p % num_y
-                    best, slot, allowed = np.float32(-np.inf), 0, 0
-                    for k in range(slots):
-                        if not can_invoke[px, k, py]:
-                            continue
-                        allowed += 1
-                        row = tasks[px * slots + k] * size + s
-                        b = _greedy(q, row)
-                        until_end = q[row, b, 0] + q[row, b, 1]
-                        rows[px, k, py, num_m + 1] = until_end
-                        v = np.float32(unknown)
-                        if rows[px, k, py, num_m] > 0:
-                            v = until_end
-                            for m in range(num_m):
-                                o = outcomes[px, k, m]
-                                if o < 0:
-                                    break
-                                v += rows[px, k, py, m] * values[o, py]
-                        if v > best:
-                            best, slot = v, k
-                    values[px, py] = best
-                    if _below(x >> np.uint64(20), EPS):
-                        skip = np.int32((y >> np.uint64(30)) & np.uint64(0xFFFF)) % allowed
-                        for k in range(slots):
-                            if can_invoke[px, k, py]:
-                                if skip == 0:
-                                    slot = k
-                                skip -= 1
-                    task = tasks[px * slots + slot]
-                else:
-                    task = children[s, np.int32((y >> np.uint64(30)) & np.uint64(0xFFFF)) % counts[s]] - 1
-            row = task * size + s
-            if _below(x, EPS):
-                a = np.int32((x >> np.uint64(24)) & np.uint64(3))
-            else:
-                a = _greedy(q, row)
+            row = task * STATES + s
+            a = np.int32((x >> np.uint64(24)) & np.uint64(3)) if _below(x, EPSILON) else _greedy(q, row)
             s2, r, end, hit, broke = _step(moves, start, s, a, x, y)
             x = y
             exited = (active[s2] >> task) & 1 == 0
-            row2 = task * size + s2
-            decide = exited
-            ends = 0
-            if exited or end:
-                if plan:
-                    model = rows[px, slot, py]
-                    n = model[num_m] + 1
-                    step_size = max(ALPHA, 1 / n)
-                    x2 = planning[s2]
-                    for m in range(num_m):
-                        hit_m = np.float32(0)
-                        if outcomes[px, slot, m] == x2 and not end:
-                            hit_m = np.float32(1)
-                        model[m] += step_size * (hit_m - model[m])
-                    model[num_m] = n
+            if plan and (exited or end):
+                count = model[i, slot, num_m, j] + 1
+                step_size = max(ALPHA, np.float32(1) / count)
+                for m in range(num_m):
+                    reached = np.float32(outcomes[i, slot, m] == planning[s2] and not end)
+                    model[i, slot, m, j] += step_size * (reached - model[i, slot, m, j])
+                model[i, slot, num_m, j] = count
+            # The next subtask is chosen before the bootstrap: it is what runs next.
+            next_task = task
             if exited and not end:
-                # The next subtask is chosen before the bootstrap; it is what runs next.
                 if plan:
-                    p = point[s2]
-                    px, py = p // num_y, p % num_y
-                    best, slot, allowed = np.float32(-np.inf), 0, 0
-                    for k in range(slots):
-                        if not can_invoke[px, k, py]:
-                            continue
-                        allowed += 1
-                        row3 = tasks[px * slots + k] * size + s2
-                        b = _greedy(q, row3)
-                        until_end = q[row3, b, 0] + q[row3, b, 1]
-                        rows[px, k, py, num_m + 1] = until_end
-                        v = np.float32(unknown)
-                        if rows[px, k, py, num_m] > 0:
-                            v = until_end
-                            for m in range(num_m):
-                                o = outcomes[px, k, m]
-                                if o < 0:
-                                    break
-                                v += rows[px, k, py, m] * values[o, py]
-                        if v > best:
-                            best, slot = v, k
-                    values[px, py] = best
-                    if _below(x >> np.uint64(20), EPS):
-                        skip = np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % allowed
-                        for k in range(slots):
-                            if can_invoke[px, k, py]:
-                                if skip == 0:
-                                    slot = k
-                                skip -= 1
-                    next_task = tasks[px * slots + slot]
+                    next_task, i, j, slot = _decide(
+                        q, s2, x, y, point, tasks, can_invoke, outcomes, model, until_end, values, unknown
+                    )
                 else:
                     next_task = children[s2, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s2]] - 1
-                row2 = next_task * size + s2
-            else:
-                next_task = task
+            row2 = next_task * STATES + s2
             b = _greedy(q, row2)
             q_r, q_c, q_e, q_p = q[row2, b, 0], q[row2, b, 1], q[row2, b, 2], q[row2, b, 3]
             t_c, t_e, t_p = q_r + q_c, q_e, q_p
             if exited:
                 t_e += t_c
                 t_c = np.float32(0)
-                t_p = kappa * goal[task, s2]
+                t_p = np.float32(kappa) * goal[task, s2]
             if end:
-                t_c = np.float32(0)
-                t_e = np.float32(0)
+                t_c = t_e = np.float32(0)
                 if not exited:
                     t_p = np.float32(0)
             q[row, a, 0] += ALPHA * (r - q[row, a, 0])
@@ -260,9 +235,7 @@ def hordq(seed, episodes, bins, initial, kappa, plan, interval, sweeps, unknown,
             out_row[1] += 1
             out_row[2] += hit
             out_row[3] += broke
-            task = next_task
-            decide = False
-            s = s2
+            task, s = next_task, s2
             steps += 1
             if end:
                 break

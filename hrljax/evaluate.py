@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, core, lax
+from jax import Array, lax
+from jax.core import Tracer
 
 from hrljax.envs.base import TabularEnvironment
 from hrljax.models.multi_time import expectation
@@ -56,7 +57,7 @@ def expected_return(
     Raises:
         ValueError: `params` is traced; the model is made on the host.
     """
-    if any(isinstance(value, core.Tracer) for value in params):
+    if any(isinstance(value, Tracer) for value in params):
         raise ValueError("exact evaluation needs fixed params: it cannot be combined with an axis of the environment")
     chances = _chances(env, params)
     num_tasks, num_states = policy.active.shape

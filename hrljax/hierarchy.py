@@ -122,7 +122,9 @@ class Hierarchy:
                 raise ValueError(f"subtask {task.name!r} has no children")
             for child in task.children:
                 if child not in names:
-                    raise ValueError(f"subtask {task.name!r} has an unknown child {child!r}; known are {', '.join(names)}")
+                    raise ValueError(
+                        f"subtask {task.name!r} has an unknown child {child!r}; known are {', '.join(names)}"
+                    )
                 if task.children.count(child) > 1:
                     raise ValueError(f"subtask {task.name!r} names its child {child!r} twice")
         reached = self._reach(self.root.name, ())

@@ -113,15 +113,18 @@ class WordBlock:
 
 def below(word: Array, probability: Array | float) -> Array:
     """True with `probability`, decided by one word."""
-    if isinstance(probability, int | float) and probability >= 1:
+    if isinstance(probability, int | float | np.floating) and probability >= 1:
         return jnp.bool_(True)
     return word < threshold(probability)
 
 
 def threshold(probability: Array | float) -> Array | np.uint32:
-    """The number of words, out of ``WORD_RANGE``, below a probability (uint32)."""
-    if isinstance(probability, int | float):
-        return np.uint32(math.ceil(probability * WORD_RANGE))
+    """The number of words, out of ``WORD_RANGE``, below a probability (uint32).
+
+    Constants are rounded to float32 first, so that they mean the same as arrays.
+    """
+    if isinstance(probability, int | float | np.floating):
+        return np.uint32(math.ceil(float(np.float32(probability)) * WORD_RANGE))
     scaled = lax.ceil(probability.astype(jnp.float32) * np.float32(WORD_RANGE))
     return scaled.astype(jnp.uint32)
 

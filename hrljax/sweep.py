@@ -16,8 +16,9 @@ import xarray as xr
 from jax import Array
 
 from hrljax import batch, random
+from hrljax.envs.base import concrete_params
 from hrljax.learners.base import Learner
-from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, metric_names, train
+from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, train
 
 _ENV_PREFIX = "env."
 
@@ -77,7 +78,7 @@ def sweep(
             check_count(name, value)
     root_key = jax.random.key(_checked_seed(key)) if isinstance(key, int) else key
     random.check_key(root_key)
-    params = env.default_params if params is None else params
+    params = concrete_params(env.default_params if params is None else params)
     columns = _checked_axes(learner, params, axes or {})
     if evaluate_every is not None and any(name.startswith(_ENV_PREFIX) for name in columns):
         raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
@@ -90,7 +91,9 @@ def sweep(
     grid = list(itertools.product(*columns.values()))
     rows = {
         "key": jnp.tile(jax.vmap(partial(jax.random.fold_in, root_key))(jnp.arange(seeds)), len(grid)),
-        "axes": {name: jnp.repeat(jnp.asarray([p[i] for p in grid], jnp.float32), seeds) for i, name in enumerate(columns)},
+        "axes": {
+            name: jnp.repeat(jnp.asarray([p[i] for p in grid], jnp.float32), seeds) for i, name in enumerate(columns)
+        },
     }
     started = time.perf_counter()
     length = batch.chunk_length(len(grid) * seeds, cores or batch.usable_cores(), resolved, chunk_size)
@@ -151,7 +154,7 @@ def _compiled(
         )
         return {"metrics": result.metrics, "greedy_return": result.greedy_return, "steps": result.steps}
 
-    jitted = batch.compile_mapped(run, mapping)
+    jitted: Any = batch.compile_mapped(run, mapping)
     by_shape: dict[Any, Any] = {}
 
     def for_shapes(shapes: Any) -> Any:
@@ -172,7 +175,7 @@ def _checked_seed(key: int) -> int:
 def _checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
     """The axes as lists of floats, each value checked as the hyper-parameter would be."""
     of_learner = learner.sweepable()
-    of_env = [_ENV_PREFIX + f for f in params._fields if isinstance(getattr(params, f), float)]
+    of_env = [_ENV_PREFIX + f for f in params._fields if f != "max_steps"]
     columns: dict[str, list[float]] = {}
     for name, values in axes.items():
         if name not in of_learner and name not in of_env:
@@ -187,8 +190,8 @@ def _checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[flo
         for value in columns[name]:
             if name in of_learner:
                 learner.replaced({name: value})
-            elif name.endswith("probability") and not 0 <= value <= 1:
-                raise ValueError(f"axes: {name!r} must be a finite number in [0, 1], got {value!r}")
+            else:
+                concrete_params(params._replace(**{name.removeprefix(_ENV_PREFIX): value}))
     return columns
 
 
@@ -209,6 +212,8 @@ def _attributes(env: Any, learner: Learner, params: Any, key: Array) -> dict[str
 
 
 def _attribute(value: Any) -> str | int | float:
+    if isinstance(value, np.floating):
+        return float(str(value))
     return value if isinstance(value, str | int | float) else repr(value)
 
 

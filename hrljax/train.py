@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax import random
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import TabularEnvironment, concrete_params
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
 from hrljax.numerics import opaque_zero, stage
 
@@ -42,6 +42,10 @@ class _Loop(NamedTuple):
     episode: Array  # int32 episodes finished
     ended: Array  # int32: whether the episode is over, see below
     sums: Array  # [1 + events + 1] float32, over the bin: reward, events, truncated episodes
+
+
+def _select(condition: Array, these: Any, those: Any) -> Any:
+    return jax.tree.map(lambda a, b: lax.select(jnp.broadcast_to(condition, a.shape), a, b), these, those)
 
 
 def _small(loop: _Loop) -> tuple[Any, ...]:
@@ -103,13 +107,15 @@ def train(
         TypeError, ValueError: a bad argument, before anything is compiled.
     """
     check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
-    params = env.default_params if params is None else params
+    params = concrete_params(env.default_params if params is None else params)
     return _Trainer(env, tabulated(learner, num_episodes), key, params, num_episodes, lockstep).run(
         bin_size or default_bin_size(num_episodes), evaluate_every
     )
 
 
-def check_arguments(env: object, learner: object, num_episodes: object, bin_size: object, evaluate_every: object) -> None:
+def check_arguments(
+    env: object, learner: object, num_episodes: object, bin_size: object, evaluate_every: object
+) -> None:
     """Raises for what `train` could not run, naming the argument, the value and what is allowed."""
     if not isinstance(env, TabularEnvironment):
         raise TypeError(f"env must be a tabular environment such as hrljax.make('Bus'), got {env!r}")
@@ -142,7 +148,9 @@ class _Trainer:
         sizes = bin_sizes(self.num_episodes, bin_size)
         state = self.learner.init(self.env, self.prepared)
         zero = jnp.int32(0)
-        control, first = self._begin(state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep))
+        control, first = self._begin(
+            state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
+        )
         start = (_Loop(state._replace(control=control), first, zero, zero, jnp.int32(_RUNNING), self._nothing()), zero)
 
         def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Array, Array]]:
@@ -194,31 +202,32 @@ class _Trainer:
 
     def _block(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
         """Up to `_BLOCK` steps, none after `end` episodes; `steps` counts those of the whole run."""
-        words = random.WordBlock(self.key, steps.astype(jnp.uint32), _BLOCK, self.env.num_words + self.learner.num_words)
+        num_words = self.env.num_words + self.learner.num_words
+        words = random.WordBlock(self.key, steps.astype(jnp.uint32), _BLOCK, num_words)
 
         def step(carry: tuple[_Loop, Array], live: Array) -> tuple[_Loop, Array]:
             return self._step(carry[0], words[carry[1]], live), carry[1] + live.astype(jnp.int32)
 
-        def episode(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
-            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].ended == _RUNNING), lambda c: step(c, jnp.bool_(True)), carry)
+        def alone(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+            """Steps to the end of the episode or of the block."""
+            loop, taken = lax.while_loop(
+                lambda c: (c[1] < _BLOCK) & (c[0].ended == _RUNNING), lambda c: step(c, jnp.bool_(True)), carry
+            )
             small = lax.cond(loop.ended != _RUNNING, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
             return _with(loop, small), taken
 
-        def masked(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+        def in_lockstep(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+            """One step, which other runs take at the same time, and then perhaps the next beginning."""
             live = carry[0].episode < end
-            before, (loop, taken) = carry[0], step(carry, live)
-            begun = self._next_episode(loop)
-            small = jax.tree.map(
-                lambda new, ended, old: lax.select(jnp.broadcast_to(live, old.shape), lax.select(jnp.broadcast_to(loop.ended != _RUNNING, old.shape), ended, new), old),
-                _small(loop), _small(begun), _small(before),
-            )
-            return _with(loop, small), taken
+            loop, taken = step(carry, live)
+            small = _select(loop.ended != _RUNNING, _small(self._next_episode(loop)), _small(loop))
+            return _with(loop, _select(live, small, _small(carry[0]))), taken
 
         start = (loop, jnp.int32(0))
         if self.lockstep:
-            loop, taken = lax.fori_loop(0, _BLOCK, masked, start)
+            loop, taken = lax.fori_loop(0, _BLOCK, in_lockstep, start)
         else:
-            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].episode < end), episode, start)
+            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].episode < end), alone, start)
         return loop, steps + taken
 
     def _next_episode(self, loop: _Loop) -> _Loop:

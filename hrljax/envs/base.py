@@ -7,22 +7,48 @@ deterministic in explicit random words (`hrljax.random`): a training loop feeds 
 """
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
 from hrljax import random
 from hrljax.hierarchy import Hierarchy
 from hrljax.solvers.model import Model
 
-State = TypeVar("State", bound=NamedTuple)
-Params = TypeVar("Params", bound=NamedTuple)
+State = TypeVar("State", bound=Any)
+Params = TypeVar("Params", bound=Any)
 
 _RESET_STREAM = 1
+
+
+def concrete_params(params: Any) -> Any:
+    """The numbers of an environment as float32 and int constants, where they are not traced.
+
+    Arithmetic on them then gives the bits that it gives on traced arrays.
+
+    Raises:
+        ValueError: a number is not finite, a field ``*_probability`` is outside [0, 1], or
+            ``max_steps`` is no integer of at least 1.
+    """
+    checked = {}
+    for name, value in params._asdict().items():
+        if isinstance(value, Tracer):
+            checked[name] = value
+        elif name == "max_steps":
+            if isinstance(value, bool) or int(value) != value or value < 1:
+                raise ValueError(f"env.max_steps must be an integer of at least 1, got {value!r}")
+            checked[name] = int(value)
+        else:
+            low, high = (0.0, 1.0) if name.endswith("probability") else (-np.inf, np.inf)
+            if not (low <= float(value) <= high and np.isfinite(float(value))):
+                raise ValueError(f"env.{name} must be a finite number in [{low:g}, {high:g}], got {value!r}")
+            checked[name] = np.float32(value)
+    return params._replace(**checked)
 
 
 class Environment(ABC, Generic[State, Params]):
@@ -82,7 +108,7 @@ class Environment(ABC, Generic[State, Params]):
     def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
         """Starts an episode: ``obs, state``. Consumes `key`."""
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_initial_words, _RESET_STREAM)
-        state = self.initial(drawn, self.default_params if params is None else params)
+        state = self.initial(drawn, self._numbers(params))
         return self.observation(state), state
 
     def step(
@@ -93,11 +119,14 @@ class Environment(ABC, Generic[State, Params]):
         `truncated` holds when ``params.max_steps`` steps were taken without termination. The
         episode is over when either holds; the caller then calls `reset`.
         """
-        params = self.default_params if params is None else params
+        numbers = self._numbers(params)
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_words)
-        state, reward, terminated, info = self.transition(state, jnp.asarray(action, jnp.int32), drawn, params)
-        truncated = (state.time >= params.max_steps) & ~terminated  # type: ignore[attr-defined]
+        state, reward, terminated, info = self.transition(state, jnp.asarray(action, jnp.int32), drawn, numbers)
+        truncated = (state.time >= numbers.max_steps) & ~terminated
         return self.observation(state), state, reward, terminated, truncated, info
+
+    def _numbers(self, params: Params | None) -> Any:
+        return concrete_params(self.default_params if params is None else params)
 
 
 class TabularEnvironment(Environment[State, Params]):
@@ -143,11 +172,11 @@ class TabularEnvironment(Environment[State, Params]):
 
     def model(self, params: Params | None = None) -> Model:
         """The exact model, by running `transition` on one word of every kind from every state."""
-        params = self.default_params if params is None else params
-        representatives, weights = _word_kinds(self.word_cuts(params))
+        numbers = self._numbers(params)
+        representatives, weights = _word_kinds(self.word_cuts(numbers))
 
         def outcome(state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-            after, reward, terminated, _ = self.transition(self.decode(state), action, words, params)
+            after, reward, terminated, _ = self.transition(self.decode(state), action, words, numbers)
             return self.encode(after), reward, terminated
 
         over_words = jax.vmap(outcome, (None, None, 0))
@@ -161,10 +190,10 @@ class TabularEnvironment(Environment[State, Params]):
 
     def initial_distribution(self, params: Params | None = None) -> np.ndarray:
         """Probability of each state number at the start of an episode, float64 ``[S]``."""
-        params = self.default_params if params is None else params
-        representatives, weights = _word_kinds(self.initial_word_cuts(params))
+        numbers = self._numbers(params)
+        representatives, weights = _word_kinds(self.initial_word_cuts(numbers))
         with jax.ensure_compile_time_eval():
-            states = jax.vmap(lambda words: self.encode(self.initial(words, params)))(representatives)
+            states = jax.vmap(lambda words: self.encode(self.initial(words, numbers)))(representatives)
         return np.bincount(np.asarray(states), weights=weights, minlength=self.num_states)
 
 

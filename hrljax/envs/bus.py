@@ -14,6 +14,13 @@ from hrljax.hierarchy import Abstraction, Hierarchy, Subtask
 from hrljax.numerics import take
 from hrljax.random import below, uniform_index
 
+_OPTIONS = {
+    "site": ("edge", "cell"),
+    "slip": ("any", "other"),
+    "road_change": ("other", "any"),
+    "breakdown": ("before", "after"),
+}
+
 
 class BusState(NamedTuple):
     """All fields are int32 scalars."""
@@ -45,7 +52,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
     Attributes:
         map: the map as text (`hrljax.envs.bus_map.parse`).
         site: a construction site damages the bus when it crosses the marked ``"edge"``, in either
-            direction, or when it enters the ``"cell"`` east or south of that edge.
+            direction, or when it enters the ``"cell"`` east or south of that edge, from any side.
         slip: a slip replaces the direction by ``"any"`` of the four or by one of the three
             ``"other"`` ones.
         road_change: the road changes to one of the ``"other"`` statuses, or to ``"any"`` (a redraw
@@ -71,12 +78,19 @@ class Bus(TabularEnvironment[BusState, BusParams]):
     num_initial_words = 1
 
     def __post_init__(self) -> None:
-        options = {"site": ("edge", "cell"), "slip": ("any", "other"), "road_change": ("other", "any"), "breakdown": ("before", "after")}
-        for option, allowed in options.items():
-            if getattr(self, option) not in allowed:
-                raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {getattr(self, option)!r}")
-        if self.layout.num_cells > 4096 or len(self.layout.passengers) > 8 or self.num_sites > 4:
-            raise ValueError("map is too large: at most 4096 cells, 8 passengers and 4 construction sites")
+        for option, allowed in _OPTIONS.items():
+            value = getattr(self, option)
+            if value not in allowed:
+                raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+        layout = self.layout
+        for what, count, most in (
+            ("cells", layout.num_cells, 4096),
+            ("passengers", len(layout.passengers), 8),
+            ("construction sites", self.num_sites, 4),
+        ):
+            if count > most:
+                raise ValueError(f"map has {count} {what}; at most {most} are allowed")
+        self._site_crossed  # noqa: B018  (two sites in one cell are an error now, not later)
 
     @cached_property
     def layout(self) -> BusMap:
@@ -106,9 +120,14 @@ class Bus(TabularEnvironment[BusState, BusParams]):
         if self.site == "edge":
             return layout.site
         site_cell = np.zeros(layout.num_cells, np.int32)
-        for move in (1, 2):
-            marked = layout.site[:, move] > 0
-            site_cell[layout.neighbour[marked, move]] = layout.site[marked, move]
+        for origin, move in np.argwhere(layout.site > 0):
+            if move not in (1, 2):
+                continue
+            cell, site = layout.neighbour[origin, move], layout.site[origin, move]
+            if site_cell[cell] not in (0, site):
+                names = layout.site_names[site_cell[cell] - 1], layout.site_names[site - 1]
+                raise ValueError(f"with site='cell', sites {names[0]} and {names[1]} lie in the same cell")
+            site_cell[cell] = site
         moves = layout.neighbour != np.arange(layout.num_cells)[:, None]
         return np.where(moves, site_cell[layout.neighbour], 0)
 

@@ -137,7 +137,9 @@ def _size(lines: list[str]) -> tuple[int, int]:
         raise MapError(0, max(length - 1, 0), f"wrong size: {length} characters; a map of w columns has 4 w + 1")
     for number, line in enumerate(lines):
         if len(line) != length:
-            raise MapError(number, len(line), f"wrong size: {len(line)} characters; the first line has {length}")
+            raise MapError(
+                number, min(len(line), length), f"wrong size: {len(line)} characters; the first line has {length}"
+            )
         if number % 2 == 0:
             for column in range(0, length, 4):
                 if line[column] not in "+ ":
@@ -150,12 +152,13 @@ def _edge(lines: list[str], line: int, column: int, vertical: bool, names: list[
     text = lines[line][column] if vertical else lines[line][column - 1 : column + 2]
     if text == ("|" if vertical else "---"):
         return _WALL
-    name = text.strip()
+    name = text.strip(" ")
     if not name:
         return _FREE
     if len(name) > 1 or not (name.isascii() and name.isupper()) or (not vertical and text[1] != name):
-        allowed = "a wall |, a blank or the capital letter of a site" if vertical else "---, blanks or a capital letter in the middle"
-        raise MapError(line, column - (not vertical), f"unknown characters {text!r}; between two cells stands {allowed}")
+        allowed = "|, a blank or a capital letter" if vertical else "---, blanks or a capital letter in the middle"
+        at = column - (not vertical)
+        raise MapError(line, at, f"unknown characters {text!r}; between two cells stands {allowed}")
     if name not in names:
         names.append(name)
     return names.index(name) + 1

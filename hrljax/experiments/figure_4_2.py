@@ -147,7 +147,9 @@ def table(rows: list[dict[str, Any]]) -> str:
         width = max(len(row["name"]) for row in chosen)
         heads = [f"-{b['to'] / 1000:g}k" for b in chosen[0]["bins"]]
         lines += ["", title]
-        lines.append(f"{'episodes':{width}} {''.join(f'{h:>8}' for h in heads)}    all   ±95%  damage  cut off  Msteps/s")
+        lines.append(
+            f"{'episodes':{width}} {''.join(f'{h:>8}' for h in heads)}    all   ±95%  damage  cut off  Msteps/s"
+        )
         for row in chosen:
             means = "".join(f"{b['mean']:8.1f}" for b in row["bins"])
             half = (row["ci95"][1] - row["ci95"][0]) / 2

@@ -4,13 +4,13 @@ import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from typing_extensions import Self
+from jax.core import Tracer
 
 from hrljax.envs.base import TabularEnvironment
 from hrljax.numerics import take
@@ -20,12 +20,15 @@ Schedule: TypeAlias = Callable[[Any], Any]
 Hyperparameter: TypeAlias = "float | Schedule | Array"
 
 
-def hyperparameter(default: Any, low: float = -math.inf, high: float = math.inf, low_open: bool = False, schedule: bool = False) -> Any:
+def hyperparameter(
+    default: Any, low: float = -math.inf, high: float = math.inf, low_open: bool = False, schedule: bool = False
+) -> Any:
     """A dataclass field that may be swept, with the interval that it must lie in."""
     metadata = {"sweepable": True, "low": low, "high": high, "low_open": low_open, "schedule": schedule}
     return dataclasses.field(default=default, metadata=metadata)
 
 
+@dataclasses.dataclass(frozen=True)
 class Settings:
     """A frozen dataclass of hyper-parameters (numbers, may be swept) and static options.
 
@@ -33,9 +36,9 @@ class Settings:
     """
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+        for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.metadata.get("sweepable") and not isinstance(value, jax.core.Tracer):
+            if field.metadata.get("sweepable") and not isinstance(value, Tracer):
                 _check_number(type(self).__name__, field, value)
 
     def replaced(self, values: Mapping[str, Any]) -> Self:
@@ -44,12 +47,12 @@ class Settings:
         for name, value in values.items():
             head, _, rest = name.partition(".")
             own[head] = own.get(head, getattr(self, head)).replaced({rest: value}) if rest else value
-        return dataclasses.replace(self, **own)  # type: ignore[type-var]
+        return dataclasses.replace(self, **own)
 
     def settings(self) -> dict[str, Any]:
         """Every field by name, nested ones with a dot."""
         found: dict[str, Any] = {}
-        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+        for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Settings):
                 found[field.name] = type(value).__name__
@@ -61,7 +64,7 @@ class Settings:
     def sweepable(self) -> dict[str, float]:
         """The hyper-parameters that are numbers now, by name: those that an axis of a sweep may name."""
         found: dict[str, float] = {}
-        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+        for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Settings):
                 found |= {f"{field.name}.{name}": inner for name, inner in value.sweepable().items()}
@@ -175,7 +178,9 @@ class Learner(Settings, ABC):
         return tables
 
     @abstractmethod
-    def greedy_return(self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array) -> Array:
+    def greedy_return(
+        self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array
+    ) -> Array:
         """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
 
 

@@ -87,7 +87,9 @@ class _Hierarchical(Learner):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.hierarchy, Hierarchy):
-            raise TypeError(f"{self.name}: hierarchy must be a Hierarchy such as env.hierarchy(), got {self.hierarchy!r}")
+            raise TypeError(
+                f"{self.name}: hierarchy must be a Hierarchy such as env.hierarchy(), got {self.hierarchy!r}"
+            )
         if not isinstance(self.root, Root):
             raise TypeError(f"{self.name}: root must be a root such as ModelRoot(), got {self.root!r}")
         for option, allowed in (("bootstrap", ("greedy", "on_policy")), ("pseudo_reward_in", ("own_table", "backup"))):
@@ -95,9 +97,13 @@ class _Hierarchical(Learner):
                 raise ValueError(f"{self.name}: {option} must be one of {allowed}, got {getattr(self, option)!r}")
         for task in self.hierarchy.subtasks[1:]:
             if task.children != self.hierarchy.actions:
-                raise NotImplementedError(f"{self.name}: subtask {task.name!r} must have all actions as children, in order")
+                raise NotImplementedError(
+                    f"{self.name}: subtask {task.name!r} must have all actions as children, in order"
+                )
         if any(map(self.hierarchy.is_primitive, self.hierarchy.root.children)):
-            raise NotImplementedError(f"{self.name}: the root {self.hierarchy.root.name!r} must have no primitive child")
+            raise NotImplementedError(
+                f"{self.name}: the root {self.hierarchy.root.name!r} must have no primitive child"
+            )
 
     @property
     def planning_interval(self) -> int:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -63,7 +62,14 @@ class Root(Settings):
         """How likely each subtask is to be invoked without exploration, ``[tasks]`` float32."""
 
     def observe(
-        self, prepared: Any, tables: Any, decision: Decision, after: Array, terminated: Array, discount: Array, moment: Moment
+        self,
+        prepared: Any,
+        tables: Any,
+        decision: Decision,
+        after: Array,
+        terminated: Array,
+        discount: Array,
+        moment: Moment,
     ) -> Any:
         """Learns that the chosen subtask ended in state `after`, the episode possibly with it.
 
@@ -94,14 +100,20 @@ class RandomRoot(Root):
         return tabulate(hierarchy, env)
 
     def choose(
-        self, prepared: TaskTables, tables: Any, child_value: ChildValue, state: Array, word: Array, epsilon: Any, zero: Array
+        self,
+        prepared: TaskTables,
+        tables: Any,
+        child_value: ChildValue,
+        state: Array,
+        word: Array,
+        epsilon: Any,
+        zero: Array,
     ) -> tuple[Decision, Any]:
         count = take(jnp.asarray(prepared.root_counts), state)
         slot = (word % count.astype(jnp.uint32)).astype(jnp.int32)
         width = prepared.root_children.shape[1]
         task = take(jnp.asarray(prepared.root_children.ravel()), state * width + slot) - 1
         return Decision(task, jnp.int32(0), slot), ()
-
 
     def probabilities(
         self, prepared: TaskTables, tables: Any, child_value: ChildValue, state: Array, zero: Array
@@ -166,7 +178,14 @@ class ModelRoot(Root):
         return ModelTables(jnp.zeros(entries, jnp.float32), values, jnp.zeros(points.can_invoke.size, jnp.float32))
 
     def choose(
-        self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, state: Array, word: Array, epsilon: Any, zero: Array
+        self,
+        prepared: DecisionPoints,
+        tables: ModelTables,
+        child_value: ChildValue,
+        state: Array,
+        word: Array,
+        epsilon: Any,
+        zero: Array,
     ) -> tuple[Decision, Any]:
         points = prepared
         point = take(jnp.asarray(points.point), state)
@@ -176,12 +195,16 @@ class ModelRoot(Root):
             pair = x * points.num_slots + slot
             first = pair * (points.num_outcomes + 1) * points.num_y + y
             *model, count = (take(tables.model, first + m * points.num_y) for m in range(points.num_outcomes + 1))
-            outcomes = take_row(jnp.asarray(np.maximum(points.outcomes, 0)), pair * points.num_outcomes, points.num_outcomes)
+            outcomes = take_row(
+                jnp.asarray(np.maximum(points.outcomes, 0)), pair * points.num_outcomes, points.num_outcomes
+            )
             after = [take(tables.values, outcomes[m] * points.num_y + y) for m in range(points.num_outcomes)]
             can_invoke = take(jnp.asarray(points.can_invoke.ravel()), pair * points.num_y + y)
             tasks.append(take(jnp.asarray(points.tasks), pair))
             until_ends.append(child_value(tasks[-1], state))
-            worth.append(backup(count > 0, until_ends[-1], expectation(model, after, zero), can_invoke, self._unknown()))
+            worth.append(
+                backup(count > 0, until_ends[-1], expectation(model, after, zero), can_invoke, self._unknown())
+            )
             allowed.append(can_invoke)
         best, value = td.greedy(worth)
         slot = lax.select(word < threshold(epsilon), _nth_allowed(allowed, word), best)
@@ -194,7 +217,14 @@ class ModelRoot(Root):
         return (jnp.arange(prepared.num_tasks, dtype=jnp.int32) == decision.task).astype(jnp.float32)
 
     def observe(
-        self, prepared: DecisionPoints, tables: ModelTables, decision: Decision, after: Array, terminated: Array, discount: Array, moment: Moment
+        self,
+        prepared: DecisionPoints,
+        tables: ModelTables,
+        decision: Decision,
+        after: Array,
+        terminated: Array,
+        discount: Array,
+        moment: Moment,
     ) -> ModelTables:
         points = prepared
         x, y = decision.point // points.num_y, decision.point % points.num_y
@@ -207,7 +237,11 @@ class ModelRoot(Root):
         new = stage(updated)(
             [take(tables.model, place) for place in places],
             [outcomes[m] for m in range(points.num_outcomes)],
-            outcome, weight, step_size, moment.live, moment.zero,
+            outcome,
+            weight,
+            step_size,
+            moment.live,
+            moment.zero,
         )
         model = tables.model
         for place, entry in zip(places, new, strict=True):

@@ -14,7 +14,6 @@ from hrljax.hierarchy import Hierarchy, Predicate
 from hrljax.planners.abstract_dp import DecisionPoints
 from hrljax.solvers.model import Model
 
-
 _LANES = 8
 """float32 numbers in a vector register."""
 
@@ -35,7 +34,9 @@ class TaskTables:
     @property
     def active_bits(self) -> np.ndarray:
         """``[S]`` uint32: bit i is set where subtask i is active."""
-        return (self.active.astype(np.uint32) << np.arange(self.num_tasks, dtype=np.uint32)[:, None]).sum(0, dtype=np.uint32)
+        return (self.active.astype(np.uint32) << np.arange(self.num_tasks, dtype=np.uint32)[:, None]).sum(
+            0, dtype=np.uint32
+        )
 
 
 def over_states(predicate: Predicate, env: TabularEnvironment[Any, Any]) -> np.ndarray:
@@ -59,7 +60,9 @@ def tabulate(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTab
         raise ValueError(f"a hierarchy has at most 32 subtasks, got {len(hierarchy.subtasks)}")
     active = np.stack([~over_states(task.termination, env).astype(np.bool_) for task in hierarchy.subtasks])
     nowhere = np.zeros(env.num_states, np.float32)
-    goal = np.stack([nowhere if t.goal is None else over_states(t.goal, env).astype(np.float32) for t in hierarchy.subtasks])
+    goal = np.stack(
+        [nowhere if t.goal is None else over_states(t.goal, env).astype(np.float32) for t in hierarchy.subtasks]
+    )
     for number, task in enumerate(hierarchy.subtasks):
         if not active[number].any():
             raise ValueError(f"subtask {task.name!r} is terminated in every state")
@@ -68,12 +71,14 @@ def tabulate(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTab
         stuck = active[number] & ~active[[hierarchy.index(c) for c in task.children]].any(0)
         if stuck.any():
             where = env.decode(np.flatnonzero(stuck)[0])
-            raise ValueError(f"subtask {task.name!r} has no child to invoke in {stuck.sum()} states, for example {where}")
+            raise ValueError(
+                f"subtask {task.name!r} has no child to invoke in {stuck.sum()} states, for example {where}"
+            )
     children = [hierarchy.index(c) for c in hierarchy.root.children if not hierarchy.is_primitive(c)]
     counts = active[children].sum(0).astype(np.int32)
     slots = np.zeros((env.num_states, max(int(counts.max(initial=0)), 1)), np.int32)
     for state, slot in zip(*np.nonzero(active[children].T), strict=True):
-        slots[state, active[children[:slot], state].sum()] = children[slot]
+        slots[state, int(np.sum(active[children[:slot]][:, state]))] = children[slot]
     return TaskTables(active, goal, slots, counts)
 
 
@@ -114,20 +119,21 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
         raise ValueError(f"the abstraction of {hierarchy.root.name!r} gives two states the same two parts")
     exists = np.bincount(points[in_grid], minlength=len(state)).astype(np.bool_).reshape(len(x_names), -1)
 
-    invocable = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), num_y)
+    invocable: np.ndarray = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), num_y)
     somewhere = invocable.any(2)
     num_slots = max(int(somewhere.sum(0).max()), 1)
     tasks = np.zeros((len(x_names), num_slots), np.int32)
     can_invoke = np.zeros((len(x_names), num_slots, num_y), np.bool_)
     outcomes: list[list[int]] = []
-    leaves = {task: _exits(tables.active[task + 1], model, over_states(abstraction.planning, env)) for task in range(len(invocable))}
+    planning = over_states(abstraction.planning, env)
+    leaves = [_exits(active, model, planning) for active in tables.active[1:]]
     for x in range(len(x_names)):
         children = np.flatnonzero(somewhere[:, x])
         tasks[x, : len(children)] = children
         can_invoke[x, : len(children)] = invocable[children, x]
         for slot in range(num_slots):
             found = leaves[int(children[slot])](int(x_names[x])) if slot < len(children) else set()
-            outcomes.append(sorted(int(np.searchsorted(x_names, name)) for name in found))
+            outcomes.append(sorted(np.searchsorted(x_names, sorted(found)).tolist()))
     widest = max(map(len, outcomes))
     padded = np.array([found + [-1] * (widest - len(found)) for found in outcomes], np.int32)
     return DecisionPoints(

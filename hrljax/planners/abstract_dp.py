@@ -51,7 +51,9 @@ def backup(known: Array, until_end: Array, after_end: Array, can_invoke: Array, 
     return lax.select(can_invoke, value, jnp.full_like(value, -jnp.inf))
 
 
-def sweep(points: DecisionPoints, model: Array, until_end: Array, values: Array, unknown_value: Array, zero: Array) -> Array:
+def sweep(
+    points: DecisionPoints, model: Array, until_end: Array, values: Array, unknown_value: Array, zero: Array
+) -> Array:
     """One Jacobi sweep over all decision points.
 
     Args:

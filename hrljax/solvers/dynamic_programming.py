@@ -31,18 +31,24 @@ def action_values(model: Model, value: Array, discount: float | Array = 1.0) -> 
     return (probability * (jnp.asarray(model.reward, probability.dtype) + discount * follows)).sum(-1)
 
 
+def _change(old: Array, new: Array) -> Array:
+    """Greatest change of a value, relative to one plus the greatest value."""
+    return jnp.abs(new - old).max() / (1 + jnp.abs(new).max())
+
+
 def soft_value(q: Array, epsilon: float | Array) -> Array:
     """Value of the epsilon-greedy policy of `q` at each state: ``(1 - e) max q + e mean q``."""
     epsilon = jnp.asarray(epsilon, q.dtype)
     return (1 - epsilon) * q.max(-1) + epsilon * q.mean(-1)
 
 
+@jax.jit
 def value_iteration(
     model: Model,
     discount: float | Array = 1.0,
     epsilon: float | Array = 0.0,
     tolerance: float = 1e-6,
-    max_sweeps: int = 100_000,
+    max_sweeps: int | Array = 100_000,
 ) -> Solution:
     """The optimal values, by sweeps of ``V <- max_a Q`` from zero (Bellman 1957).
 
@@ -51,22 +57,25 @@ def value_iteration(
         discount: in [0, 1]; 1 needs an episode that some policy ends from every state.
         epsilon: probability of a uniformly random action at every step; with it, the result is
             the best epsilon-soft policy's, the most that epsilon-greedy learning can earn.
-        tolerance: stops when no value changes by more.
+        tolerance: stops when no value changes by more, relative to one plus the greatest value.
         max_sweeps: stops in any case.
     """
 
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         value, _, count = carry
         updated = soft_value(action_values(model, value, discount), epsilon)
-        return updated, jnp.abs(updated - value).max(), count + 1
+        return updated, _change(value, updated), count + 1
 
     start = jnp.zeros(model.num_states, jnp.asarray(model.probability).dtype)
     changed = jnp.array(jnp.inf, start.dtype)
-    value, _, count = lax.while_loop(lambda c: (c[1] > tolerance) & (c[2] < max_sweeps), sweep, (start, changed, jnp.int32(0)))
+    value, _, count = lax.while_loop(
+        lambda c: (c[1] > tolerance) & (c[2] < max_sweeps), sweep, (start, changed, jnp.int32(0))
+    )
     q = action_values(model, value, discount)
     return Solution(q, soft_value(q, epsilon), jnp.argmax(q, -1).astype(jnp.int32), count)
 
 
+@jax.jit
 def policy_evaluation(
     model: Model,
     policy: Array,
@@ -82,7 +91,8 @@ def policy_evaluation(
         discount: in [0, 1].
         horizon: number of steps after which the return is cut off. With discount 1, a policy that
             never ends the episode has no finite value beyond a horizon.
-        tolerance: stops before the horizon when no value changes by more.
+        tolerance: stops before the horizon when no value changes by more, relative to one plus the
+            greatest value.
     """
     policy = jnp.asarray(policy)
 
@@ -93,7 +103,7 @@ def policy_evaluation(
             updated = jnp.take_along_axis(q, policy[:, None], axis=-1)[:, 0]
         else:
             updated = (policy.astype(q.dtype) * q).sum(-1)
-        return updated, jnp.abs(updated - value).max(), count + 1
+        return updated, _change(value, updated), count + 1
 
     start = jnp.zeros(model.num_states, jnp.asarray(model.probability).dtype)
     changed = jnp.array(jnp.inf, start.dtype)
@@ -112,13 +122,16 @@ def transition_matrix(model: Model, policy: Array) -> tuple[Array, Array]:
     return matrix, (weight * jnp.asarray(model.reward, weight.dtype)).sum((-1, -2))
 
 
-def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvements: int = 1000) -> Solution:
+@jax.jit
+def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvements: int | Array = 1000) -> Solution:
     """The optimal values, by exact evaluation and greedy improvement (Howard 1960).
 
     Starts from the uniformly random policy, which ends every episode that some policy can end, so
     that discount 1 is no special case. Solves ``[S, S]`` linear systems: needs ``S * S`` memory.
-    A new action replaces an old one only where it is better by more than rounding.
+    A new action replaces an old one only where it is better by more than rounding, and actions that
+    tie share the probability meanwhile, so that a policy that ends its episodes stays one.
     """
+
     def evaluate(policy: Array) -> Array:
         matrix, reward = transition_matrix(model, policy)
         identity = jnp.eye(model.num_states, dtype=matrix.dtype)
@@ -129,13 +142,14 @@ def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvemen
         q = action_values(model, evaluate(policy), discount)
         current = (policy * q).sum(-1)
         margin = 100 * jnp.finfo(q.dtype).eps * (1 + jnp.abs(current))
-        better = q.max(-1) > current + margin
-        is_mixed = policy.max(-1) < 1
-        greedy = jax.nn.one_hot(jnp.argmax(q, -1), model.num_actions, dtype=q.dtype)
-        updated = jnp.where((better | is_mixed)[:, None], greedy, policy)
+        best = q.max(-1)
+        renew = (best > current + margin) | (policy.max(-1) < 1)
+        ties = (q >= (best - margin)[:, None]).astype(q.dtype)
+        updated = jnp.where(renew[:, None], ties / ties.sum(-1, keepdims=True), policy)
         return updated, jnp.any(updated != policy), count + 1
 
-    uniform = jnp.full((model.num_states, model.num_actions), 1 / model.num_actions, jnp.asarray(model.probability).dtype)
+    dtype = jnp.asarray(model.probability).dtype
+    uniform = jnp.full((model.num_states, model.num_actions), 1 / model.num_actions, dtype)
     policy, _, count = lax.while_loop(
         lambda c: c[1] & (c[2] < max_improvements), improve, (uniform, jnp.bool_(True), jnp.int32(0))
     )

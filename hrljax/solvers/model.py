@@ -53,7 +53,10 @@ class Model(NamedTuple):
             return table.reshape(*shape[:2], padded[1])
 
         return Model(
-            spread(flat_next, np.int32), spread(weight, np.float64), spread(flat_reward, np.float64), spread(flat_end, np.bool_)
+            spread(flat_next, np.int32),
+            spread(weight, np.float64),
+            spread(flat_reward, np.float64),
+            spread(flat_end, np.bool_),
         )
 
     @staticmethod
@@ -72,9 +75,10 @@ class Model(NamedTuple):
         if transition.ndim != 3 or transition.shape[0] != transition.shape[2]:
             raise ValueError(f"transition must have shape [S, A, S], got {transition.shape}")
         if reward.shape not in (transition.shape, transition.shape[:2]):
-            raise ValueError(f"reward must have shape [S, A] or [S, A, S] with [S, A, S] = {transition.shape}, got {reward.shape}")
+            allowed = f"[S, A] or [S, A, S], here {transition.shape[:2]} or {transition.shape}"
+            raise ValueError(f"reward must have shape {allowed}, got {reward.shape}")
         ends = 1.0 - transition.sum(-1, keepdims=True)
-        if transition.min() < 0 or ends.min() < -1e-9:
+        if not (transition.min() >= 0 and ends.min() >= -1e-9):
             raise ValueError("transition must have non-negative rows that sum to at most one")
         size = transition.shape[0]
         expected = reward if reward.ndim == 2 else (transition * reward).sum(-1)

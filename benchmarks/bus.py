@@ -1,0 +1,248 @@
+"""Million environment-and-learning steps a second on the Bus domain, side by side with peers.
+
+Cases: Q-learning; HORDQ(5) under a random root; HORDQ(5) under the model-based root. Contestants:
+hrljax's native loop; the same algorithm as a hand-written numba loop; the plain vmap way with
+jax.random in the step (Q-learning); a learner that takes one step a Python call, simple_rl
+(Q-learning). All run in turns, round after round, so that a change of the machine's speed meets
+all of them; the median is reported. Compile time is apart.
+
+    pip install -e '.[bench]' && python benchmarks/bus.py --json bus.json
+"""
+
+import json
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+import hrljax as hrl
+from hrljax import batch
+from hrljax.learners.task_tables import planning_points, tabulate
+
+try:
+    from benchmarks import numba_bus
+except ModuleNotFoundError:
+    import numba_bus
+
+ENV = hrl.make("Bus")
+HIERARCHY = ENV.hierarchy()
+ROOT = hrl.ModelRoot()
+LEARNERS = {
+    "Q-learning": hrl.QLearning(initial_value=-25.0),
+    "HORDQ(5)+random": hrl.HORDQ(HIERARCHY, hrl.RandomRoot(), pseudo_reward=5.0, initial_value=-25.0),
+    "HORDQ(5)+model": hrl.HORDQ(HIERARCHY, ROOT, pseudo_reward=5.0, initial_value=-25.0),
+    "HORDQ(5)+model, decisions only": hrl.HORDQ(
+        HIERARCHY, hrl.ModelRoot(sweeps=0), pseudo_reward=5.0, initial_value=-25.0
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Million steps a second on the Bus domain, hrljax side by side with peers."""
+
+    episodes: int = 20_000
+    """Episodes of a run."""
+    rounds: int = 7
+    """Rounds; every contestant runs once in each."""
+    cores: int = batch.usable_cores()
+    """Greatest number of cores; one core is measured in any case."""
+    json: Path | None = None
+    """Where to write the rows."""
+    peers: bool = True
+    """Whether to run the slow peers too."""
+
+
+@dataclass
+class Contestant:
+    """`run` does one round and returns the steps taken."""
+
+    case: str
+    name: str
+    cores: int
+    run: Callable[[], int]
+    compile_seconds: float = 0.0
+
+
+def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds: int = 2) -> Contestant:
+    """hrljax: `seeds` runs a core."""
+
+    def run() -> int:
+        curves = hrl.sweep(
+            ENV, LEARNERS[case], seeds=seeds * cores, num_episodes=episodes, mapping=mapping,
+            cores=cores, chunk_size=seeds, progress=False,
+        )  # fmt: skip
+        run.seconds = curves.attrs["compile_seconds"]
+        return int(curves["steps"].sum())
+
+    run()
+    name = "hrljax native" if mapping == "native" else f"hrljax vmap of {seeds}"
+    return Contestant(case, name, cores, run, run.seconds)
+
+
+def by_numba(case: str, cores: int, episodes: int) -> Contestant:
+    """The hand-written loop: two runs a core, one thread a core (numba releases the interpreter lock)."""
+    tasks, points = tabulate(HIERARCHY, ENV), planning_points(HIERARCHY, ENV)
+    moves, start = ENV._moves, ENV.layout.start
+    root = LEARNERS[case].root if case != "Q-learning" else ROOT
+    shape = (points.num_x, points.num_slots, points.num_outcomes)
+    arguments = (
+        np.float32(-25), 5.0, "model" in case, root.interval if "model" in case else 1,
+        root.sweeps if "model" in case else 0, np.float32(-30), moves, start,
+        (tasks.active_bits >> 1).astype(np.int32), tasks.goal[1:], tasks.root_children, tasks.root_counts,
+        points.point, points.planning, points.tasks, points.can_invoke, points.outcomes.reshape(shape),
+    )  # fmt: skip
+    flat, hierarchical = (numba_bus.numba.njit(nogil=True)(f.py_func) for f in (numba_bus.q_learning, numba_bus.hordq))
+
+    def one(seed: int, count: int = episodes) -> int:
+        if case == "Q-learning":
+            return flat(seed, count, 200, np.float32(-25), moves, start)[1]
+        return hierarchical(seed, count, 200, *arguments)[1]
+
+    def run() -> int:
+        with ThreadPoolExecutor(cores) as pool:
+            return sum(pool.map(one, range(1, 2 * cores + 1)))
+
+    began = time.perf_counter()
+    one(1, 200)
+    return Contestant(case, "numba loop", cores, run, time.perf_counter() - began)
+
+
+def plain_vmap(cores: int, episodes: int, seeds: int = 256) -> Contestant:
+    """Q-learning as gymnax and purejaxrl users write it: vmap of a scan, keys split in the step."""
+    steps = 2000 * episodes // 20_000
+    params = ENV.default_params
+
+    def one(key: jax.Array) -> jax.Array:
+        def step(carry: Any, _: None) -> Any:
+            q, state, key = carry
+            key, explore_key, action_key, env_key, reset_key = jax.random.split(key, 5)
+            index = ENV.encode(state)
+            random_action = jax.random.randint(action_key, (), 0, 4)
+            action = jnp.where(jax.random.uniform(explore_key) < 0.1, random_action, jnp.argmax(q[index]))
+            obs, after, reward, terminated, truncated, _ = ENV.step(env_key, state, action, params)
+            bootstrap = jnp.where(terminated, 0.0, q[obs].max())
+            q = q.at[index, action].add(0.1 * (reward + bootstrap - q[index, action]))
+            _, first = ENV.reset(reset_key, params)
+            state = jax.tree.map(lambda a, b: jnp.where(terminated | truncated, a, b), first, after)
+            return (q, state, key), reward
+
+        key, reset_key = jax.random.split(key)
+        start = (jnp.full((ENV.num_states, 4), -25.0), ENV.reset(reset_key, params)[1], key)
+        return jax.lax.scan(step, start, None, steps)[1].sum()
+
+    keys = jax.random.split(jax.random.key(0), seeds)
+    began = time.perf_counter()
+    compiled = jax.jit(jax.vmap(one)).lower(keys).compile()
+    seconds = time.perf_counter() - began
+
+    def run() -> int:
+        jax.block_until_ready(compiled(keys))
+        return seeds * steps
+
+    return Contestant("Q-learning", f"plain vmap of {seeds}, jax.random in the step", cores, run, seconds)
+
+
+def by_simple_rl(episodes: int) -> Contestant:
+    """One Python call a step: simple_rl's QLearningAgent on transitions tabulated beforehand."""
+    from simple_rl.agents import QLearningAgent
+    from simple_rl.mdp import State
+
+    agent = QLearningAgent(actions=list(range(4)), alpha=0.1, epsilon=0.1, gamma=1.0)
+    model = ENV.model()
+    cumulative = model.probability.cumsum(-1)
+    states = [State(data=i) for i in range(ENV.num_states)]
+    rng = np.random.default_rng(0)
+    first = int(np.flatnonzero(ENV.initial_distribution())[0])
+
+    def run() -> int:
+        steps = 0
+        for _ in range(max(1, episodes // 1000)):
+            index, reward = first, 0.0
+            for _ in range(1000):
+                action = agent.act(states[index], reward)
+                k = int(np.searchsorted(cumulative[index, action], rng.random()))
+                reward, steps = float(model.reward[index, action, k]), steps + 1
+                end = model.terminated[index, action, k]
+                index = int(model.next_state[index, action, k])
+                if end:
+                    break
+            agent.end_of_episode()
+        return steps
+
+    return Contestant("Q-learning", "simple_rl, one Python call a step", 1, run)
+
+
+def measure(contestants: list[Contestant], rounds: int) -> list[dict[str, Any]]:
+    """Runs everybody in turns; the rows of the result."""
+    speeds: dict[int, list[float]] = {i: [] for i in range(len(contestants))}
+    for number in range(rounds):
+        for i, contestant in enumerate(contestants):
+            began = time.perf_counter()
+            steps = contestant.run()
+            speeds[i].append(steps / (time.perf_counter() - began) / 1e6)
+        print(f"round {number + 1} of {rounds}", flush=True)
+    return [
+        {
+            "case": c.case,
+            "contestant": c.name,
+            "cores": c.cores,
+            "value": statistics.median(speeds[i]),
+            "best": max(speeds[i]),
+            "unit": "million steps/s",
+            "compile_seconds": c.compile_seconds,
+        }
+        for i, c in enumerate(contestants)
+    ]
+
+
+def report(rows: list[dict[str, Any]]) -> str:
+    """The rows as a table, with ratios to the numba loop of the same case and cores."""
+    lines = [f"{'case':32}{'contestant':48}{'cores':>5}{'median':>9}{'best':>9}{'of numba':>10}{'compile s':>11}"]
+    for row in rows:
+        same = [r for r in rows if r["case"] == row["case"] and r["cores"] == row["cores"]]
+        peer = [r["value"] for r in same if r["contestant"] == "numba loop"]
+        ratio = f"{row['value'] / peer[0]:10.2f}" if peer else " " * 10
+        lines.append(
+            f"{row['case']:32}{row['contestant']:48}{row['cores']:5}{row['value']:9.2f}{row['best']:9.2f}{ratio}"
+            f"{row['compile_seconds']:11.2f}"
+        )
+    one = {r["case"]: r for r in rows if r["contestant"] == "hrljax native" and r["cores"] == 1}
+    for row in rows:
+        if row["contestant"] == "hrljax native" and row["cores"] > 1 and row["case"] in one:
+            gain = row["value"] / one[row["case"]]["value"]
+            lines.append(f"{row['case']}: {row['cores']} cores do {gain:.2f} times what one does")
+    share = 1 - one["HORDQ(5)+model"]["value"] / one["HORDQ(5)+model, decisions only"]["value"]
+    lines.append(f"HORDQ(5)+model: sweeps take {share:.0%} of the run")
+    return "\n".join(lines)
+
+
+def main(options: Options) -> None:
+    contestants = []
+    for cores in sorted({1, options.cores}):
+        for case in LEARNERS:
+            contestants += [native(case, cores, options.episodes), by_numba(case, cores, options.episodes)]
+    if options.peers:
+        contestants.append(native("Q-learning", 1, options.episodes // 10, "vmap", seeds=64))
+        contestants += [plain_vmap(options.cores, options.episodes), by_simple_rl(options.episodes)]
+    rows = measure(contestants, options.rounds)
+    versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "numba", "simple_rl"))
+    print(report(rows))
+    print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
