@@ -103,20 +103,6 @@ def _greedy(q, row):
     return a
 
 
-@numba.njit(inline="always")
-def _backup(model, until_end, values, outcomes, unknown, i, k, j, num_m):
-    """Value of subtask slot k at planning part i and environment part j."""
-    if model[i, k, num_m, j] == 0:
-        return unknown
-    value = until_end[i, k, j]
-    for m in range(num_m):
-        outcome = outcomes[i, k, m]
-        if outcome < 0:
-            break
-        value += model[i, k, m, j] * values[outcome, j]
-    return value
-
-
 @numba.njit
 def _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown):
     num_x, slots, num_m = outcomes.shape
@@ -125,36 +111,15 @@ def _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown):
             best = np.float32(-np.inf)
             for k in range(slots):
                 if can_invoke[i, k, j]:
-                    best = max(best, _backup(model, until_end, values, outcomes, unknown, i, k, j, num_m))
+                    value = unknown
+                    if model[i, k, num_m, j] > 0:
+                        value = until_end[i, k, j]
+                        for m in range(num_m):
+                            if outcomes[i, k, m] < 0:
+                                break
+                            value += model[i, k, m, j] * values[outcomes[i, k, m], j]
+                    best = max(best, value)
             fresh[i, j] = best
-
-
-@numba.njit(inline="always")
-def _decide(q, s, x, y, point, tasks, can_invoke, outcomes, model, until_end, values, unknown):
-    """The planning root's choice: task, planning part, environment part and slot."""
-    _, slots, num_m = outcomes.shape
-    num_y = values.shape[1]
-    i, j = point[s] // num_y, point[s] % num_y
-    best, slot, allowed = np.float32(-np.inf), 0, 0
-    for k in range(slots):
-        if not can_invoke[i, k, j]:
-            continue
-        allowed += 1
-        row = tasks[i * slots + k] * STATES + s
-        b = _greedy(q, row)
-        until_end[i, k, j] = q[row, b, 0] + q[row, b, 1]
-        value = _backup(model, until_end, values, outcomes, unknown, i, k, j, num_m)
-        if value > best:
-            best, slot = value, k
-    values[i, j] = best
-    if _below(x >> np.uint64(20), EPSILON):
-        skip = np.int32((y >> np.uint64(44)) & np.uint64(0xFFFF)) % allowed
-        for k in range(slots):
-            if can_invoke[i, k, j]:
-                if skip == 0:
-                    slot = k
-                skip -= 1
-    return tasks[i * slots + slot], i, j, slot
 
 
 @numba.njit
@@ -174,69 +139,89 @@ def hordq(
     fresh = np.zeros((num_x, num_y), np.float32)
     x = np.uint64(seed * 2654435761 + 88172645463325252)
     steps = 0
-    task = i = j = slot = 0
+    task = next_task = i = j = slot = a = row = 0
+    r = np.float32(0)
     for episode in range(episodes):
         if plan and episode % interval == 0:
             for _ in range(sweeps):
                 _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown)
                 values, fresh = fresh, values
         x = _next(x)
-        y = _next(x)
         s = _initial(start, x)
-        x = y
-        if plan:
-            task, i, j, slot = _decide(
-                q, s, x, y, point, tasks, can_invoke, outcomes, model, until_end, values, unknown
-            )
-        else:
-            task = children[s, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s]] - 1
+        x = _next(x)
         out_row = out[episode * bins // episodes]
-        for _ in range(MAX_STEPS):
+        first, exited, end = True, False, False
+        for step in range(MAX_STEPS + 1):
+            # Here the bus has arrived at s. The next subtask is chosen before the bootstrap on it.
+            if first or (exited and not end):
+                if plan:
+                    i, j = point[s] // num_y, point[s] % num_y
+                    best, slot, allowed = np.float32(-np.inf), 0, 0
+                    for k in range(slots):
+                        if not can_invoke[i, k, j]:
+                            continue
+                        allowed += 1
+                        there = tasks[i * slots + k] * STATES + s
+                        b = _greedy(q, there)
+                        until_end[i, k, j] = q[there, b, 0] + q[there, b, 1]
+                        value = unknown
+                        if model[i, k, num_m, j] > 0:
+                            value = until_end[i, k, j]
+                            for m in range(num_m):
+                                if outcomes[i, k, m] < 0:
+                                    break
+                                value += model[i, k, m, j] * values[outcomes[i, k, m], j]
+                        if value > best:
+                            best, slot = value, k
+                    values[i, j] = best
+                    if _below(x >> np.uint64(20), EPSILON):
+                        skip = np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % allowed
+                        for k in range(slots):
+                            if can_invoke[i, k, j]:
+                                if skip == 0:
+                                    slot = k
+                                skip -= 1
+                    next_task = tasks[i * slots + slot]
+                else:
+                    next_task = children[s, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s]] - 1
+            if not first:
+                row2 = next_task * STATES + s
+                b = _greedy(q, row2)
+                q_r, q_c, q_e, q_p = q[row2, b, 0], q[row2, b, 1], q[row2, b, 2], q[row2, b, 3]
+                t_c, t_e, t_p = q_r + q_c, q_e, q_p
+                if exited:
+                    t_e += t_c
+                    t_c = np.float32(0)
+                    t_p = np.float32(kappa) * goal[task, s]
+                if end:
+                    t_c = t_e = np.float32(0)
+                    if not exited:
+                        t_p = np.float32(0)
+                q[row, a, 0] += ALPHA * (r - q[row, a, 0])
+                q[row, a, 1] += ALPHA * (t_c - q[row, a, 1])
+                q[row, a, 2] += ALPHA * (t_e - q[row, a, 2])
+                q[row, a, 3] += ALPHA * (t_p - q[row, a, 3])
+            if end or step == MAX_STEPS:
+                break
+            first = False
+            task = next_task
             x = _next(x)
             y = _next(x)
             row = task * STATES + s
             a = np.int32((x >> np.uint64(24)) & np.uint64(3)) if _below(x, EPSILON) else _greedy(q, row)
-            s2, r, end, hit, broke = _step(moves, start, s, a, x, y)
+            s, r, end, hit, broke = _step(moves, start, s, a, x, y)
             x = y
-            exited = (active[s2] >> task) & 1 == 0
+            exited = (active[s] >> task) & 1 == 0
             if plan and (exited or end):
-                count = model[i, slot, num_m, j] + 1
+                count = model[i, slot, num_m, j] + np.float32(1)
                 step_size = max(ALPHA, np.float32(1) / count)
                 for m in range(num_m):
-                    reached = np.float32(outcomes[i, slot, m] == planning[s2] and not end)
+                    reached = np.float32(outcomes[i, slot, m] == planning[s] and not end)
                     model[i, slot, m, j] += step_size * (reached - model[i, slot, m, j])
                 model[i, slot, num_m, j] = count
-            # The next subtask is chosen before the bootstrap: it is what runs next.
-            next_task = task
-            if exited and not end:
-                if plan:
-                    next_task, i, j, slot = _decide(
-                        q, s2, x, y, point, tasks, can_invoke, outcomes, model, until_end, values, unknown
-                    )
-                else:
-                    next_task = children[s2, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s2]] - 1
-            row2 = next_task * STATES + s2
-            b = _greedy(q, row2)
-            q_r, q_c, q_e, q_p = q[row2, b, 0], q[row2, b, 1], q[row2, b, 2], q[row2, b, 3]
-            t_c, t_e, t_p = q_r + q_c, q_e, q_p
-            if exited:
-                t_e += t_c
-                t_c = np.float32(0)
-                t_p = np.float32(kappa) * goal[task, s2]
-            if end:
-                t_c = t_e = np.float32(0)
-                if not exited:
-                    t_p = np.float32(0)
-            q[row, a, 0] += ALPHA * (r - q[row, a, 0])
-            q[row, a, 1] += ALPHA * (t_c - q[row, a, 1])
-            q[row, a, 2] += ALPHA * (t_e - q[row, a, 2])
-            q[row, a, 3] += ALPHA * (t_p - q[row, a, 3])
             out_row[0] += r
             out_row[1] += 1
             out_row[2] += hit
             out_row[3] += broke
-            task, s = next_task, s2
             steps += 1
-            if end:
-                break
     return out, steps
