@@ -1,9 +1,13 @@
 """Results on disk: Zarr stores that xarray opens."""
 
+from __future__ import annotations
+
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import xarray as xr
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def save(dataset: xr.Dataset, path: str | Path) -> None:
@@ -34,6 +38,8 @@ def load(path: str | Path) -> xr.Dataset:
     Raises:
         FileNotFoundError: there is no Zarr store at `path`.
     """
+    import xarray as xr
+
     if not (Path(path) / "zarr.json").exists():
         raise FileNotFoundError(f"no Zarr store at {path}")
     with xr.open_zarr(path, consolidated=False) as store:

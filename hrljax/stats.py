@@ -2,7 +2,7 @@
 
 import numpy as np
 import xarray as xr
-from scipy import stats
+from scipy import special
 
 
 def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) -> xr.Dataset:
@@ -18,7 +18,7 @@ def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) 
     """
     count = values.notnull().sum(dim)
     error = values.std(dim, ddof=1).where(count > 1) / np.sqrt(count.clip(1))
-    reach = xr.apply_ufunc(stats.t.ppf, 0.5 + level / 2, (count - 1).clip(1)) * error
+    reach = xr.apply_ufunc(special.stdtrit, (count - 1).clip(1), 0.5 + level / 2) * error
     mean = values.mean(dim)
     return xr.Dataset({"mean": mean, "low": mean - reach, "high": mean + reach})
 

@@ -1,5 +1,7 @@
 """Many seeds and hyper-parameters in one call, with labelled results."""
 
+from __future__ import annotations
+
 import dataclasses
 import itertools
 import json
@@ -7,18 +9,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from jax import Array
 
 from hrljax import batch, random
 from hrljax.envs.base import concrete_params
 from hrljax.learners.base import Learner
 from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, train
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _ENV_PREFIX = "env."
 
@@ -226,6 +230,8 @@ def _dataset(
     evaluate_every: int | None,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
+    import xarray as xr  # here, because importing it takes longer than the rest of hrljax
+
     shape = (*(len(values) for values in columns.values()), seeds)
     dims = (*columns, "seed")
     last_episode = np.cumsum(bin_sizes(num_episodes, bin_size))
