@@ -30,7 +30,7 @@ class Run(NamedTuple):
     steps: Array  # int32: primitive steps of the whole run
 
 
-_RUNNING, _TERMINATED, _TRUNCATED = np.int32(0), np.int32(1), np.int32(2)
+_TERMINATED, _TRUNCATED = np.int32(-1), np.int32(-2)
 
 
 class _Loop(NamedTuple):
@@ -38,9 +38,8 @@ class _Loop(NamedTuple):
 
     learner: LearnerState
     state: Array  # int32 number of the environment's state
-    time: Array  # int32 steps taken in this episode
-    episode: Array  # int32 episodes finished
-    ended: Array  # int32: whether the episode is over, see below
+    time: Array  # int32 steps taken in this episode; when it is over, why
+    episode: Any  # int32 episodes finished
     sums: Array  # [1 + events + 1] float32, over the bin: reward, events, truncated episodes
 
 
@@ -119,6 +118,8 @@ def check_arguments(
     """Raises for what `train` could not run, naming the argument, the value and what is allowed."""
     if not isinstance(env, TabularEnvironment):
         raise TypeError(f"env must be a tabular environment such as hrljax.make('Bus'), got {env!r}")
+    if env.num_states >= 1 << (30 - len(env.metrics)):
+        raise ValueError(f"env has {env.num_states} states, too many to number them together with its events")
     if not isinstance(learner, Learner):
         raise TypeError(f"learner must be a learner such as hrljax.QLearning(), got {learner!r}")
     check_count("num_episodes", num_episodes)
@@ -151,7 +152,7 @@ class _Trainer:
         control, first = self._begin(
             state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
         )
-        start = (_Loop(state._replace(control=control), first, zero, zero, jnp.int32(_RUNNING), self._nothing()), zero)
+        start = (_Loop(state._replace(control=control), first, zero, zero, self._nothing()), zero)
 
         def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Array, Array]]:
             end = jnp.minimum((number + 1) * bin_size, self.num_episodes)
@@ -210,17 +211,24 @@ class _Trainer:
 
         def alone(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """Steps to the end of the episode or of the block."""
-            loop, taken = lax.while_loop(
-                lambda c: (c[1] < _BLOCK) & (c[0].ended == _RUNNING), lambda c: step(c, jnp.bool_(True)), carry
-            )
-            small = lax.cond(loop.ended != _RUNNING, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
+            episode = carry[0].episode
+
+            def one(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+                loop, taken = step((carry[0]._replace(episode=episode), carry[1]), jnp.bool_(True))
+                return loop._replace(episode=()), taken
+
+            # The number of the episode does not change here, so it is not carried.
+            start = (carry[0]._replace(episode=()), carry[1])
+            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].time >= 0), one, start)
+            loop = loop._replace(episode=episode)
+            small = lax.cond(loop.time < 0, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
             return _with(loop, small), taken
 
         def in_lockstep(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """One step, which other runs take at the same time, and then perhaps the next beginning."""
             live = carry[0].episode < end
             loop, taken = step(carry, live)
-            small = _select(loop.ended != _RUNNING, _small(self._next_episode(loop)), _small(loop))
+            small = _select(loop.time < 0, _small(self._next_episode(loop)), _small(loop))
             return _with(loop, _select(live, small, _small(carry[0]))), taken
 
         start = (loop, jnp.int32(0))
@@ -234,13 +242,12 @@ class _Trainer:
         episode = loop.episode + 1
         moment = Moment(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
         control, first = self._begin(loop.learner.tables, episode, moment)
-        truncated = (loop.ended == _TRUNCATED).astype(jnp.float32)
+        truncated = (loop.time == _TRUNCATED).astype(jnp.float32)
         return _Loop(
             learner=loop.learner._replace(control=control),
             state=first,
             time=jnp.int32(0),
             episode=episode,
-            ended=jnp.int32(_RUNNING),
             sums=loop.sums.at[-1].add(truncated),
         )
 
@@ -248,19 +255,29 @@ class _Trainer:
         """One primitive step, or none if not `live`."""
         own = self.env.num_words
         action = self.learner.action(loop.learner.control)
-        next_state, terminated, counted = self.transition(loop.state, action, words[:own])
+        packed, reward = self.transition(loop.state, action, words[:own])
+        next_state, terminated, *events = self._unpacked(packed)
         time = loop.time + 1
-        step = Experience(loop.state, action, counted[0], next_state, terminated)
-        moment = Moment(loop.episode, live, opaque_zero(words[0]), self.lockstep)
+        step = Experience(loop.state, action, reward, next_state, terminated)
+        moment = Moment(loop.episode, live, opaque_zero(loop.state.astype(jnp.uint32)), self.lockstep)
         learned = self.learner.learn(self.prepared, loop.learner, step, words[own:], moment)
-        ended = lax.select(time >= self.params.max_steps, jnp.int32(_TRUNCATED), jnp.int32(_RUNNING))
-        ended = lax.select(terminated, jnp.int32(_TERMINATED), ended)
-        return _Loop(learned, next_state, time, loop.episode, ended, loop.sums + counted)
+        time = lax.select(time >= self.params.max_steps, jnp.int32(_TRUNCATED), time)
+        time = lax.select(terminated, jnp.int32(_TERMINATED), time)
+        counted = jnp.stack([reward, *(event.astype(jnp.float32) for event in events), jnp.float32(0)])
+        return _Loop(learned, next_state, time, loop.episode, loop.sums + counted)
 
-    def _transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    def _transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array]:
+        """The environment's step, all but the reward in one int32: what is one result is computed once."""
         after, reward, terminated, info = self.env.transition(self.env.decode(state), action, words, self.params)
-        counts = [info[name].astype(jnp.float32) for name in self.env.metrics]
-        return self.env.encode(after), terminated, jnp.stack([reward, *counts, jnp.float32(0)])
+        packed = self.env.encode(after)
+        for flag in (terminated, *(info[name] for name in self.env.metrics)):
+            packed = (packed << 1) | flag.astype(jnp.int32)
+        return packed, reward
+
+    def _unpacked(self, packed: Array) -> list[Array]:
+        """The number of the next state, and as bool whether the episode terminated and the events."""
+        flags = 1 + len(self.env.metrics)
+        return [packed >> flags, *(((packed >> i) & 1) == 1 for i in reversed(range(flags)))]
 
     def _begin(self, tables: Any, episode: Array, moment: Moment) -> tuple[Any, Array]:
         """The learner's control and the first state of an episode."""

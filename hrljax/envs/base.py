@@ -88,7 +88,7 @@ class Environment(ABC, Generic[State, Params]):
 
         Returns:
             next state; reward (float32); terminated (bool): the episode ended in the environment
-            itself, not by a limit of steps; info: an int32 count of each event in `metrics`.
+            itself, not by a limit of steps; info: whether each event in `metrics` happened (bool).
         """
 
     @abstractmethod

@@ -200,7 +200,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
         delivered = (picked == (1 << len(self.layout.passengers)) - 1) & (cell == self.layout.start)
         after = BusState(cell, state.damaged | hit.astype(jnp.int32), picked, road, state.time + 1)
         reward = lax.select(broke, jnp.float32(params.breakdown_reward), jnp.float32(params.step_reward))
-        info = {"damage": hit.astype(jnp.int32), "breakdown": broke.astype(jnp.int32)}
+        info = {"damage": hit, "breakdown": broke}
         return after, reward, broke | delivered, info
 
     def hierarchy(self) -> Hierarchy:
