@@ -61,7 +61,7 @@ def expected_return(
         raise ValueError("exact evaluation needs fixed params: it cannot be combined with an axis of the environment")
     chances = _chances(env, params)
     num_tasks, num_states = policy.active.shape
-    pair = jnp.arange(num_states, dtype=jnp.int32) * chances.num_actions + policy.actions  # [T, S]
+    pair = jnp.arange(num_states, dtype=jnp.int32)[None] * chances.num_actions + policy.actions  # [T, S]
     after = jnp.asarray(chances.next_state)[pair]  # [T, S, K]
     probability = jnp.asarray(chances.probability)[pair]
     reward = jnp.asarray(chances.reward)[pair]

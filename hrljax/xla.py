@@ -50,11 +50,11 @@ def native_loops_available() -> bool:
 
 
 def _probe() -> str:
-    """Compiles a small loop over a table of 1 MB; says what is wrong, or nothing."""
+    """Compiles a loop that touches as much memory in a turn as learners do; says what is wrong, or nothing."""
 
     def loop(table: jax.Array) -> jax.Array:
         def step(i: jax.Array, table: jax.Array) -> jax.Array:
-            old = lax.dynamic_slice(table, (i,), (1,))
+            old = lax.dynamic_slice(table, (i,), (4096,))
             return lax.dynamic_update_slice(table, old + jnp.float32(1), (i,))
 
         return lax.fori_loop(jnp.uint32(0), jnp.uint32(8), step, table)

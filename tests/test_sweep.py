@@ -1,8 +1,7 @@
-"""Sweeps: labels and attributes, refused arguments, results on disk, exact evaluation of greedy policies."""
+"""Sweeps: labels, attributes, values, and arguments that are refused before anything is compiled."""
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,10 +12,8 @@ import pytest
 import xarray as xr
 
 import hrljax
-from hrljax import batch, results
+from hrljax import batch
 from hrljax.envs.bus import Bus, BusParams
-from hrljax.solvers.dynamic_programming import value_iteration
-from hrljax.solvers.model import Model
 
 HIERARCHY = Bus().hierarchy()
 EPISODES, BIN_SIZE, SEEDS = 10, 4, 3
@@ -128,7 +125,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"evaluate_every": 6}, "evaluate_every must be at most the number of bins, got 6"),
     ({"evaluate_every": 1, "axes": {"env.slip_probability": [0.1]}}, "evaluate_every needs fixed params"),
     ({"mapping": "pmap"}, "mapping must be one of 'auto', 'native', 'vmap', got 'pmap'"),
-    ({"axes": {"kappa": [1.0]}}, "'kappa' cannot be swept; sweepable are pseudo_reward, .*root.*env.slip_probability"),
+    ({"axes": {"kappa": [1.0]}}, "'kappa' cannot be swept; sweepable are .*root.step_size, .*epsilon, .*env.step_reward"),
     ({"axes": {"bootstrap": [1.0]}}, "'bootstrap' cannot be swept; sweepable are "),
     ({"axes": {"root.interval": [1.0]}}, "'root.interval' cannot be swept; sweepable are .*root.step_size"),
     ({"axes": {"env.max_steps": [10.0]}}, "'env.max_steps' cannot be swept"),
@@ -138,11 +135,11 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"axes": {"step_size": ["many"]}}, "'step_size' must be a sequence of numbers"),
     ({"axes": {"step_size": [0.1, 1.5]}}, r"step_size must be a finite number in \(0, 1\], got 1\.5"),
     ({"axes": {"root.step_size": [0.0]}}, r"step_size must be a finite number in \(0, 1\], got 0\.0"),
-    ({"axes": {"env.slip_probability": [1.5]}}, r"env\.slip_probability.* must be a finite number in \[0, 1\], got 1\.5"),
+    ({"axes": {"env.slip_probability": [1.5]}}, r"env\.slip_probability.* must be .* in \[0, 1\], got 1\.5"),
     ({"axes": {"env.step_reward": [np.nan]}}, r"env\.step_reward.* must be a finite number .*got nan"),
     ({"key": -1}, r"key must be a new-style key or an integer in \[0, 2\*\*32\), got -1"),
     ({"key": True}, "key must be a new-style key or an integer .*got True"),
-    ({"params": BusParams(slip_probability=-0.5)}, r"env.slip_probability must be a finite number in \[0, 1\], got -0.5"),
+    ({"params": BusParams(slip_probability=-0.5)}, r"env.slip_probability must be .* in \[0, 1\], got -0.5"),
 ]
 
 
@@ -185,7 +182,7 @@ def test_several_keys_are_refused():
         (lambda: hrljax.QLearning(step_size=0), ValueError, r"QLearning: step_size must be .* in \(0, 1\], got 0"),
         (lambda: hrljax.SARSA(step_size=1.5), ValueError, r"SARSA: step_size must be .* in \(0, 1\], got 1\.5"),
         (lambda: hrljax.QLearning(step_size=float("nan")), ValueError, r"step_size must be a finite number .*got nan"),
-        (lambda: hrljax.HORDQ(HIERARCHY, epsilon=-0.1), ValueError, r"HORDQ: epsilon must be .* in \[0, 1\], got -0\.1"),
+        (lambda: hrljax.HORDQ(HIERARCHY, epsilon=-0.1), ValueError, r"HORDQ: epsilon must .* in \[0, 1\], got -0\.1"),
         (lambda: hrljax.MAXQ(HIERARCHY, discount=2), ValueError, r"MAXQ: discount must be .* in \[0, 1\], got 2"),
         (lambda: hrljax.QLearning(initial_value=np.inf), ValueError, "initial_value must be a finite number"),
         (lambda: hrljax.QLearning(step_size="big"), TypeError, "step_size must be a number or a schedule, got 'big'"),
@@ -207,7 +204,6 @@ def test_a_schedule_that_leaves_its_interval_names_the_episode():
     learner = hrljax.QLearning(step_size=optax.linear_schedule(0.5, 1.4, 9))
     with pytest.raises(ValueError, match=r"step_size must be .*in \(0, 1\], got .*1\.4.* by its schedule at episode 9"):
         hrljax.sweep(Bus(), learner, seeds=2, num_episodes=20, progress=False)
-    hrljax.train  # noqa: B018  a run of 5 episodes stays inside
-    jax.eval_shape(lambda: hrljax.train(Bus(), learner, jax.random.key(0), 5))
+    jax.eval_shape(lambda: hrljax.train(Bus(), learner, jax.random.key(0), 5))  # shorter runs stay inside
     with pytest.raises(ValueError, match="'step_size' cannot be swept; sweepable are epsilon, discount"):
         hrljax.sweep(Bus(), learner, seeds=2, num_episodes=5, axes={"step_size": [0.1]}, progress=False)

@@ -120,7 +120,7 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
     exists = np.bincount(points[in_grid], minlength=len(state)).astype(np.bool_).reshape(len(x_names), -1)
 
     invocable: np.ndarray = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), num_y)
-    somewhere: np.ndarray = invocable.any(2)
+    somewhere = np.asarray(invocable.any(2))
     num_slots = max(int(somewhere.sum(0).max()), 1)
     tasks = np.zeros((len(x_names), num_slots), np.int32)
     can_invoke = np.zeros((len(x_names), num_slots, num_y), np.bool_)
