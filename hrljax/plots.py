@@ -37,19 +37,20 @@ def learning_curves(
     if ax is None:
         ax = Figure(figsize=(8, 5), layout="constrained").subplots()
     named = {"": curves} if isinstance(curves, xr.Dataset) else dict(curves)
-    colours = iter(COLOURS * 10)
+    colours = itertools.cycle(COLOURS)
     for name, dataset in named.items():
         values = dataset[variable] if window is None else stats.smoothed(dataset[variable], window)
-        swept = [dim for dim in values.dims if dim not in ("seed", "episode")]
+        along = "checkpoint" if "checkpoint" in values.dims else "episode"
+        swept = [dim for dim in values.dims if dim not in ("seed", along)]
         for setting in itertools.product(*(values[dim].values for dim in swept)):
             curve = values.sel(dict(zip(swept, setting, strict=True)))
             described = ", ".join(f"{dim}={value:g}" for dim, value in zip(swept, setting, strict=True))
             interval = stats.mean_interval(curve)
             colour = next(colours)
-            finished = int(curve.notnull().all("episode").sum())
+            finished = int(curve.notnull().all(along).sum())
             label = " ".join(part for part in (name, described) if part) or str(dataset.attrs.get("learner", variable))
-            ax.plot(interval["episode"], interval["mean"], color=colour, label=f"{label} (n={finished})", lw=1.4)
-            ax.fill_between(interval["episode"], interval["low"], interval["high"], color=colour, alpha=0.25, lw=0)
+            ax.plot(interval[along], interval["mean"], color=colour, label=f"{label} (n={finished})", lw=1.4)
+            ax.fill_between(interval[along], interval["low"], interval["high"], color=colour, alpha=0.25, lw=0)
     for (name, value), style in zip((references or {}).items(), ("--", ":", "-.") * 10, strict=False):
         ax.axhline(value, color="#444444", ls=style, lw=1, label=f"{name} {value:.2f}")
     ax.set_xlabel("episode")

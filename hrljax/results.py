@@ -24,12 +24,20 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
+    old = path.with_name(path.name + ".old")
     try:
         dataset.to_zarr(partial, mode="w", consolidated=False)
-        shutil.rmtree(path, ignore_errors=True)
-        partial.rename(path)
+        if path.exists():
+            path.rename(old)
+        try:
+            partial.rename(path)
+        except OSError:
+            if old.exists():
+                old.rename(path)
+            raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def load(path: str | Path) -> xr.Dataset:

@@ -47,6 +47,11 @@ def _select(condition: Array, these: Any, those: Any) -> Any:
     return jax.tree.map(lambda a, b: lax.select(jnp.broadcast_to(condition, a.shape), a, b), these, those)
 
 
+def _zero(loop: _Loop) -> Array:
+    """A zero that no compiler folds, even where the key is a constant: it knows nothing of the state."""
+    return opaque_zero(loop.state.astype(jnp.uint32))
+
+
 def _small(loop: _Loop) -> tuple[Any, ...]:
     return (loop.learner.control, *loop[1:])
 
@@ -162,7 +167,7 @@ class _Trainer:
 
         def run_stretch(carry: tuple[_Loop, Array], numbers: Array) -> tuple[tuple[_Loop, Array], Any]:
             carry, sums = lax.scan(run_bin, carry, numbers)
-            return carry, (sums, self._evaluate(carry[0].learner.tables))
+            return carry, (sums, self._evaluate(carry[0]))
 
         numbers = jnp.arange(len(sizes), dtype=jnp.int32)
         values = jnp.zeros(0, jnp.float32)
@@ -180,8 +185,8 @@ class _Trainer:
         metrics = {name: column / episodes for name, column in zip(metric_names(self.env), columns, strict=True)}
         return Run(loop.learner.tables, metrics, values, steps)
 
-    def _evaluate(self, tables: Any) -> Array:
-        return self.learner.greedy_return(self.env, self.prepared, tables, self.params, opaque_zero(self.key[0]))
+    def _evaluate(self, loop: _Loop) -> Array:
+        return self.learner.greedy_return(self.env, self.prepared, loop.learner.tables, self.params, _zero(loop))
 
     def _nothing(self) -> Array:
         """The sums of a bin before its first step."""
@@ -191,7 +196,7 @@ class _Trainer:
         """Plans if it is time to, and runs episodes until it is time again or `end` is reached."""
         interval = self.learner.planning_interval
         if interval:
-            moment = Moment(loop.episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
+            moment = Moment(loop.episode, jnp.bool_(True), _zero(loop), self.lockstep)
             tables = moment.when(
                 loop.episode % interval == 0,
                 lambda tables, now: self.learner.plan(self.prepared, tables, now),
@@ -240,7 +245,7 @@ class _Trainer:
 
     def _next_episode(self, loop: _Loop) -> _Loop:
         episode = loop.episode + 1
-        moment = Moment(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
+        moment = Moment(episode, jnp.bool_(True), _zero(loop), self.lockstep)
         control, first = self._begin(loop.learner.tables, episode, moment)
         truncated = (loop.time == _TRUNCATED).astype(jnp.float32)
         return _Loop(
@@ -259,7 +264,7 @@ class _Trainer:
         next_state, terminated, *events = self._unpacked(packed)
         time = loop.time + 1
         step = Experience(loop.state, action, reward, next_state, terminated)
-        moment = Moment(loop.episode, live, opaque_zero(loop.state.astype(jnp.uint32)), self.lockstep)
+        moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
         learned = self.learner.learn(self.prepared, loop.learner, step, words[own:], moment)
         time = lax.select(time >= self.params.max_steps, jnp.int32(_TRUNCATED), time)
         time = lax.select(terminated, jnp.int32(_TERMINATED), time)

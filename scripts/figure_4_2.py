@@ -41,6 +41,7 @@ class Options:
 def main(options: Options) -> int:
     check_count("--seeds", options.seeds)
     check_count("--episodes", options.episodes)
+    check_count("--key", options.key, least=0)
     if options.cores is not None:
         check_count("--cores", options.cores)
     options.out.mkdir(parents=True, exist_ok=True)

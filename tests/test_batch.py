@@ -19,18 +19,32 @@ from hrljax.envs.bus import Bus, BusParams
 
 SEEDS, EPISODES, BIN_SIZE = 8, 25, 6
 HIERARCHY = Bus().hierarchy()
+SMALL = Bus("""\
++---+---+---+---+
+| 1   1P| 2   2 |
++   +   +   +   +
+| 1S  1 A 2   2P|
++---+   +---+ B +
+| 3   3   4   4 |
++---+---+---+---+
+""")
 LEARNERS = {
     "QLearning": hrljax.QLearning(initial_value=-25.0, discount=0.97),
     "SARSA": hrljax.SARSA(initial_value=-25.0, discount=0.97),
     "HORDQ random": hrljax.HORDQ(HIERARCHY, pseudo_reward=5.0, initial_value=-25.0, discount=0.97),
-    "HORDQ model": hrljax.HORDQ(HIERARCHY, hrljax.ModelRoot(), pseudo_reward=5.0, initial_value=-25.0, discount=0.97),
+    "HORDQ model": hrljax.HORDQ(SMALL.hierarchy(), hrljax.ModelRoot(), pseudo_reward=5.0, discount=0.97),
     "MAXQ": hrljax.MAXQ(HIERARCHY, pseudo_reward=60.0, epsilon=optax.linear_schedule(0.5, 0.05, 20), discount=0.97),
 }
 
 
+def env_of(name: str) -> Bus:
+    """A small map for what takes long to compile."""
+    return SMALL if "model" in name else Bus()
+
+
 def swept(name: str = "QLearning", **options: Any) -> xr.Dataset:
     defaults = {"seeds": SEEDS, "num_episodes": EPISODES, "bin_size": BIN_SIZE, "chunk_size": 3, "mapping": "native"}
-    return hrljax.sweep(Bus(), LEARNERS[name], **{**defaults, **options}, progress=False)
+    return hrljax.sweep(env_of(name), LEARNERS[name], **{**defaults, **options}, progress=False)
 
 
 def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
@@ -41,37 +55,21 @@ def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
         assert one[variable].notnull().all()
 
 
-def alone(name: str, seed: int) -> dict[str, np.ndarray]:
-    """One run under plain `jax.jit`, as the variables of a dataset."""
-    run = _alone(name)(jax.random.fold_in(jax.random.key(0), seed))
-    return {**run.metrics, "steps": run.steps}
-
-
-_jitted: dict[str, Any] = {}
-
-
-def _alone(name: str) -> Any:
-    if name not in _jitted:
-        train = hrljax.train
-        _jitted[name] = jax.jit(lambda key: train(Bus(), LEARNERS[name], key, EPISODES, bin_size=BIN_SIZE))
-    return _jitted[name]
-
-
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_seed_has_one_result_under_every_mapping(name: str):
     """Native loops, all runs in step under `vmap`, and one run alone."""
     native = swept(name)
-    assert native["steps"].values.min() > 200
+    assert native["steps"].values.min() > 100
     assert len(np.unique(native["steps"])) > SEEDS // 2
     assert_same(native, swept(name, mapping="vmap", chunk_size=7))
+    alone = jax.jit(lambda key: hrljax.train(env_of(name), LEARNERS[name], key, EPISODES, bin_size=BIN_SIZE))
     for seed in (0, SEEDS - 1):
-        for variable, value in alone(name, seed).items():
+        run = alone(jax.random.fold_in(jax.random.key(0), seed))
+        for variable, value in {**run.metrics, "steps": run.steps}.items():
             np.testing.assert_array_equal(native[variable].sel(seed=seed), value, err_msg=variable)
 
 
-@pytest.mark.parametrize(
-    "options", [{"cores": 1}, {"cores": 2}, {"chunk_size": 1}, {"chunk_size": 7}, {"chunk_size": 99}], ids=str
-)
+@pytest.mark.parametrize("options", [{"cores": 1}, {"cores": 2}, {"chunk_size": 1}, {"chunk_size": 7}], ids=str)
 def test_chunks_and_cores_change_nothing(options: dict[str, int]):
     assert_same(swept(), swept(**options))
 
@@ -263,7 +261,9 @@ def in_new_process(program: str, **environment: str) -> str:
 def test_the_import_adds_its_flag_to_those_of_the_user():
     program = "import os, hrljax; print(os.environ['XLA_FLAGS'], hrljax.xla.native_loops_available())"
     assert in_new_process(program, XLA_FLAGS="--xla_cpu_enable_fast_math=false").split() == [
-        "--xla_cpu_enable_fast_math=false", xla._FLAG, "True",
+        "--xla_cpu_enable_fast_math=false",
+        xla._FLAG,
+        "True",
     ]
 
 
@@ -271,11 +271,11 @@ def test_an_import_after_the_first_computation_warns_and_falls_back():
     program = """
 import warnings, jax
 jax.numpy.zeros(3) + 1
-import hrljax
+from hrljax import batch
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    sweep = hrljax.sweep(hrljax.make("Bus"), hrljax.QLearning(), seeds=2, num_episodes=2, progress=False)
+    print([batch.resolve_mapping(mapping) for mapping in ("auto", "native")])
 found = [str(w.message) for w in caught if w.category is RuntimeWarning]
-print(sweep.mapping, sweep.complete, len(found), "Import hrljax before" in found[0], sep=";")
+print(len(found), "Import hrljax before" in found[0])
 """
-    assert in_new_process(program).split(";") == ["vmap", "1", "1", "True\n"]
+    assert in_new_process(program).splitlines() == ["['vmap', 'vmap']", "1 True"]

@@ -39,9 +39,8 @@ def test_the_optimal_table_earns_the_optimum(bus: Bus, optimal_q: jax.Array):
 
 def test_an_episode_is_cut_off_at_the_limit_of_steps(bus: Bus, optimal_q: jax.Array):
     """The shortest tour takes 18 steps; without damage nothing ends an episode before."""
-    for limit, low, high in ((17, -17, -17), (40, -20.5, -19)):
-        params = BusParams(max_steps=limit, damage_probability=0.0)
-        assert low <= float(hrljax.SARSA().greedy_return(bus, 4, optimal_q, params, ZERO)) <= high
+    params = BusParams(max_steps=17, damage_probability=0.0)
+    assert float(hrljax.SARSA().greedy_return(bus, 4, optimal_q, params, ZERO)) == pytest.approx(-17)
 
 
 def test_an_axis_of_the_environment_cannot_be_evaluated(bus: Bus, optimal_q: jax.Array):
@@ -107,9 +106,14 @@ def test_the_root_is_taken_to_choose_as_it_does(learned: Learned):
     np.testing.assert_allclose(found[decides], learned.choice[decides], rtol=1e-6)
 
 
-def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned):
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return SMALL.model()
+
+
+def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned, model: Model):
     """By backward induction over (subtask, state) pairs in float64."""
-    model, actions = SMALL.model(), learned.parts.sum(-1).argmax(-1)
+    actions = learned.parts.sum(-1).argmax(-1)
     rows, tasks = (np.arange(SMALL.num_states), actions), np.arange(len(ACTIVE))[:, None, None]
     value = np.zeros(ACTIVE.shape)
     for _ in range(SHORT.max_steps):
@@ -119,15 +123,26 @@ def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned):
     expected = SMALL.initial_distribution() @ (learned.choice * value.T).sum(1)
     found = learned.learner.greedy_return(SMALL, learned.prepared, learned.tables, SHORT, ZERO)
     assert float(found) == pytest.approx(expected, abs=1e-3)
-    assert -61 < expected < -12
+    assert -100 < expected < -12
+
+
+def evaluated(key: jax.Array) -> hrljax.Run:
+    learner = hrljax.SARSA(initial_value=-25.0)
+    return hrljax.train(SMALL, learner, key, 32, params=SHORT, bin_size=5, evaluate_every=3)
 
 
 def test_a_run_is_evaluated_after_the_last_episode_of_a_bin():
     """At a checkpoint: the value of what a run of so many episodes learns."""
     learner, key = hrljax.SARSA(initial_value=-25.0), jax.random.key(4)
-    sizes = {"params": SHORT, "bin_size": 5}
-    whole = jax.jit(lambda: hrljax.train(SMALL, learner, key, 32, **sizes, evaluate_every=3))()
+    whole = jax.jit(evaluated)(key)
     assert whole.greedy_return.shape == (2,)
-    shorter = jax.jit(lambda: hrljax.train(SMALL, learner, key, 30, **sizes))()
-    assert learner.greedy_return(SMALL, 4, shorter.learned, SHORT, ZERO) == whole.greedy_return[1]
+    shorter = jax.jit(lambda key: hrljax.train(SMALL, learner, key, 30, params=SHORT, bin_size=5))(key)
+    evaluate = jax.jit(lambda tables, zero: learner.greedy_return(SMALL, 4, tables, SHORT, zero))
+    assert evaluate(shorter.learned, ZERO) == whole.greedy_return[1]
     assert whole.greedy_return[0] != whole.greedy_return[1]
+
+
+def test_a_key_may_be_a_constant_of_the_compiled_function():
+    """Where the compiler knows the key, it still may not fuse what a run rounds separately."""
+    key = jax.random.key(4)
+    jax.tree.map(np.testing.assert_array_equal, jax.jit(evaluated)(key), jax.jit(lambda: evaluated(key))())

@@ -92,9 +92,7 @@ def test_a_write_that_fails_leaves_the_old_store_and_nothing_else(
     assert entries(tmp_path) == ["curve.zarr"]
 
 
-def test_a_store_that_cannot_be_put_in_place_does_not_cost_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_store_that_cannot_be_put_in_place_does_not_cost_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "curve.zarr"
     save(dataset(), path)
     rename = Path.rename

@@ -162,7 +162,8 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def picture(results: list[tuple[Curve, xr.Dataset]], values: dict[str, Any]) -> Figure:
     """The two panels of Figure 4.2."""
-    figure = Figure(figsize=(13, 5.5), layout="constrained")
+    figure = Figure(figsize=(13, 5.8), layout="constrained")
+    legend: dict[str, Any] = {}
     references = {"optimum": values["optimal"]["mean"], "best epsilon-soft": values["epsilon_soft"]}
     for panel, ax in zip(("model", "random"), figure.subplots(1, 2, sharey=True), strict=True):
         shown = {curve.name: dataset for curve, dataset in results if panel in curve.panels}
@@ -171,6 +172,11 @@ def picture(results: list[tuple[Curve, xr.Dataset]], values: dict[str, Any]) -> 
             plots.learning_curves(shown, window=max(WINDOW, size), references=references, ax=ax)
         ax.set_title(f"{PANELS[panel]}, moving average over {WINDOW} episodes")
         ax.set_ylim(-130, -15)
+        handles, labels = ax.get_legend_handles_labels()
+        legend |= dict(zip(labels, handles, strict=True))
+        if ax.get_legend():
+            ax.get_legend().remove()
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=5, frameon=False)
     return figure
 
 

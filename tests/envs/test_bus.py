@@ -239,7 +239,7 @@ def test_dtypes_are_those_of_reset_in_every_step(bus: Bus):
         assert described((obs, state)) == [integer] * 6
         after = wrap(bus.step)(jax.random.key(1), state, EAST)
         assert described(after[:2]) == described((obs, state))
-        assert described(after[2:]) == [real, boolean, boolean, integer, integer]
+        assert described(after[2:]) == [real, boolean, boolean, boolean, boolean]
         assert obs == bus.encode(state)
         assert bus.observation_space.contains(np.asarray(obs)[()])
         for action in (np.int64(EAST), jnp.uint8(EAST)):
