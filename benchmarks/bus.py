@@ -34,6 +34,9 @@ try:
 except ModuleNotFoundError:
     import numba_bus
 
+_SEEDS = 8
+"""Runs a core of a contestant in a round."""
+
 ENV = hrl.make("Bus")
 HIERARCHY = ENV.hierarchy()
 ROOT = hrl.ModelRoot()
@@ -74,7 +77,7 @@ class Contestant:
     compile_seconds: float = 0.0
 
 
-def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds: int = 2) -> Contestant:
+def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds: int = _SEEDS) -> Contestant:
     """hrljax: `seeds` runs a core."""
 
     def run() -> int:
@@ -91,7 +94,7 @@ def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds:
 
 
 def by_numba(case: str, cores: int, episodes: int) -> Contestant:
-    """The hand-written loop: two runs a core, one thread a core (numba releases the interpreter lock)."""
+    """The hand-written loop: one thread a core (numba releases the interpreter lock)."""
     tasks, points = tabulate(HIERARCHY, ENV), planning_points(HIERARCHY, ENV)
     moves, start = ENV._moves, ENV.layout.start
     root = LEARNERS[case].root if case != "Q-learning" else ROOT
@@ -111,7 +114,7 @@ def by_numba(case: str, cores: int, episodes: int) -> Contestant:
 
     def run() -> int:
         with ThreadPoolExecutor(cores) as pool:
-            return sum(pool.map(one, range(1, 2 * cores + 1)))
+            return sum(pool.map(one, range(1, _SEEDS * cores + 1)))
 
     began = time.perf_counter()
     one(1, 200)
