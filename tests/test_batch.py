@@ -17,7 +17,7 @@ import hrljax
 from hrljax import batch, xla
 from hrljax.envs.bus import Bus, BusParams
 
-SEEDS, EPISODES, BIN_SIZE = 8, 25, 6
+SEEDS, EPISODES, BIN_SIZE = 8, 90, 20
 HIERARCHY = Bus().hierarchy()
 SMALL = Bus("""\
 +---+---+---+---+
