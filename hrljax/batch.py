@@ -119,6 +119,7 @@ def _in_parallel(run: Callable[[int], Any], starts: range, cores: int) -> Iterat
         running: set[Future[Any]] = {pool.submit(run, start) for start in islice(waiting, cores)}
         interrupted = False
         while running:
+            done: set[Future[Any]] = set()
             try:
                 done, running = wait(running, return_when=FIRST_COMPLETED)
                 if not interrupted:
@@ -127,6 +128,5 @@ def _in_parallel(run: Callable[[int], Any], starts: range, cores: int) -> Iterat
                 if interrupted:
                     raise
                 interrupted = True
-                continue
             for future in done:
                 yield future.result()

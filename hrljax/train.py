@@ -136,7 +136,7 @@ def check_arguments(
 
 def check_count(name: str, value: object, least: int = 1) -> None:
     """Raises unless `value` is an integer of at least `least` that fits in 31 bits."""
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**31:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < 2**31:
         raise ValueError(f"{name} must be an integer of at least {least}, got {value!r}")
 
 
@@ -178,7 +178,8 @@ class _Trainer:
             carry, (sums, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
             (loop, steps), rest = lax.scan(run_bin, carry, numbers[whole:])
             sums = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *b.shape[1:]), b]), sums, rest)
-        episodes = jnp.asarray(sizes, jnp.float32)
+        # Opaque, because XLA would multiply by the rounded reciprocal of a constant.
+        episodes = (jnp.asarray(sizes, jnp.int32) + _zero(loop).astype(jnp.int32)).astype(jnp.float32)
         rewards_and_events, length = sums
         reward, *events = rewards_and_events.T
         columns = [reward, length.astype(jnp.float32), *events]

@@ -54,7 +54,7 @@ def _probe() -> str:
 
     def loop(table: jax.Array) -> jax.Array:
         def step(i: jax.Array, table: jax.Array) -> jax.Array:
-            old = lax.dynamic_slice(table, (i,), (4096,))
+            old = lax.dynamic_slice(table, (i,), (2**17,))
             return lax.dynamic_update_slice(table, old + jnp.float32(1), (i,))
 
         return lax.fori_loop(jnp.uint32(0), jnp.uint32(8), step, table)

@@ -109,6 +109,11 @@ def run(seeds: int, num_episodes: int, cores: int | None, mapping: Any, key: int
             return
 
 
+def _number(value: xr.DataArray) -> float | None:
+    """A number for JSON, which knows no NaN: one seed has no interval."""
+    return float(value) if np.isfinite(value) else None
+
+
 def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
     """The entry of a curve in ``summary.json``."""
     episodes = int(dataset["episode"].values[-1])
@@ -117,7 +122,7 @@ def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
     bins = []
     for first, last in zip(limits, limits[1:], strict=False):
         interval = stats.mean_interval(stats.episode_range(dataset["return"], first, last))
-        values = {"mean": float(interval["mean"]), "lo": float(interval["low"]), "hi": float(interval["high"])}
+        values = {"mean": _number(interval["mean"]), "lo": _number(interval["low"]), "hi": _number(interval["high"])}
         bins.append({"from": first, "to": last, **values})
     damage = stats.episode_range(dataset["damage"], limits[-2], episodes).mean()
     seconds = float(dataset.attrs["seconds"])
@@ -125,7 +130,7 @@ def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
         "name": curve.name,
         "panel": curve.panel,
         "mean_return": float(whole["mean"]),
-        "ci95": [float(whole["low"]), float(whole["high"])],
+        "ci95": [_number(whole["low"]), _number(whole["high"])],
         "bins": bins,
         "damage_per_episode": float(damage),
         "truncated_per_episode": float(stats.episode_range(dataset["truncated"], 0, episodes).mean()),
@@ -152,7 +157,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         )
         for row in chosen:
             means = "".join(f"{b['mean']:8.1f}" for b in row["bins"])
-            half = (row["ci95"][1] - row["ci95"][0]) / 2
+            low, high = (np.nan if end is None else end for end in row["ci95"])
+            half = (high - low) / 2
             lines.append(
                 f"{row['name']:{width}} {means} {row['mean_return']:6.1f} {half:6.2f}  {row['damage_per_episode']:6.3f}"
                 f"  {row['truncated_per_episode']:7.3f}  {row['steps_per_second'] / 1e6:8.1f}"

@@ -131,7 +131,7 @@ class ModelTables(NamedTuple):
 
     model: Array  # [X * K * (M + 1) * Y] float32, see `hrljax.models.multi_time`
     values: Array  # [X * Y] float32: value of each decision point
-    until_end: Array  # [X * K * Y] float32: Q_r of each subtask when the root last decided there
+    until_end: Array  # [X * K * Y] float32: Q_r of each subtask when the root last decided there, episode starts aside
 
 
 @dataclass(frozen=True)
