@@ -16,18 +16,10 @@ import xarray as xr
 import hrljax
 from hrljax import batch, xla
 from hrljax.envs.bus import Bus, BusParams
+from tests.maps import SMALL
 
 SEEDS, EPISODES, BIN_SIZE = 8, 90, 20
 HIERARCHY = Bus().hierarchy()
-SMALL = Bus("""\
-+---+---+---+---+
-| 1   1P| 2   2 |
-+   +   +   +   +
-| 1S  1 A 2   2P|
-+---+   +---+ B +
-| 3   3   4   4 |
-+---+---+---+---+
-""")
 LEARNERS = {
     "QLearning": hrljax.QLearning(initial_value=-25.0, discount=0.97),
     "SARSA": hrljax.SARSA(initial_value=-25.0, discount=0.97),

@@ -12,18 +12,10 @@ from hrljax.envs.bus import Bus, BusParams
 from hrljax.learners.task_tables import tabulate
 from hrljax.solvers.dynamic_programming import value_iteration
 from hrljax.solvers.model import Model
+from tests.maps import SMALL
 
 ZERO = np.uint32(0)
 SHORT = BusParams(max_steps=60)
-SMALL = Bus("""\
-+---+---+---+---+
-| 1   1P| 2   2 |
-+   +   +   +   +
-| 1S  1 A 2   2P|
-+---+   +---+ B +
-| 3   3   4   4 |
-+---+---+---+---+
-""")
 
 
 @pytest.fixture(scope="module")

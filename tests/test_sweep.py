@@ -14,17 +14,9 @@ import xarray as xr
 import hrljax
 from hrljax import batch
 from hrljax.envs.bus import Bus, BusParams
+from tests.maps import SMALL
 
 HIERARCHY = Bus().hierarchy()
-SMALL = Bus("""\
-+---+---+---+---+
-| 1   1P| 2   2 |
-+   +   +   +   +
-| 1S  1 A 2   2P|
-+---+   +---+ B +
-| 3   3   4   4 |
-+---+---+---+---+
-""")
 EPISODES, BIN_SIZE, SEEDS = 10, 4, 3
 PLANNED = hrljax.HORDQ(SMALL.hierarchy(), hrljax.ModelRoot(unknown_value=-28.0, interval=2), pseudo_reward=5.0)
 AXES = {"root.step_size": [0.5, 0.125], "env.slip_probability": [0.0, 0.25]}
