@@ -1,4 +1,4 @@
-"""Exact value of a fixed hierarchical policy, by dynamic programming over (subtask, state) pairs.
+"""Exact value of a fixed hierarchical policy, by dynamic programming over stacks of subtasks and states.
 
 A flat policy is the case of one subtask that never ends.
 """
@@ -12,15 +12,24 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from hrljax.envs.base import TabularEnvironment
+from hrljax.hierarchy import Hierarchy, Subtask
+from hrljax.learners.task_graph import TaskGraph, task_graph
 from hrljax.models.multi_time import expectation
 
 
 class HierarchicalPolicy(NamedTuple):
-    """What every subtask does; T subtasks below the root, S states."""
+    """What every learning subtask does; T subtasks, S states."""
 
-    actions: Array  # [T, S] int32 primitive actions
-    active: np.ndarray  # [T, S] bool: the subtask goes on
-    choice: Array  # [S, T] float32: probabilities that the root invokes each subtask
+    graph: TaskGraph
+    slots: Array  # [T, S] int32: slot of the child that is invoked
+    choice: Array | None  # [S, T] float32: probabilities that a root that does not learn invokes each subtask
+
+
+def flat_policy(env: TabularEnvironment[Any, Any], actions: Array) -> HierarchicalPolicy:
+    """The policy without subtasks that takes ``actions[s]`` (int32 ``[S]``) in state s."""
+    root = Subtask("Root", env.action_names, lambda state: jnp.bool_(False))
+    graph = task_graph(Hierarchy(env.action_names, [root]), env, root_learns=True)
+    return HierarchicalPolicy(graph, actions[None], None)
 
 
 class _Chances(NamedTuple):
@@ -46,6 +55,48 @@ def _chances(env: TabularEnvironment[Any, Any], params: Any) -> _Chances:
     )
 
 
+class _Stacks:
+    """All stacks of subtasks that a hierarchy allows, as numbers; the last number is that of an empty one."""
+
+    def __init__(self, graph: TaskGraph):
+        self.graph = graph
+        self.chains: list[tuple[int, ...]] = [(task,) for task in graph.levels[0]]
+        for chain in self.chains:
+            self.chains += [(*chain, child) for child in graph.kind(chain[-1]).tasks if child >= 0]
+        self.number = {chain: i for i, chain in enumerate(self.chains)}
+
+    def left(self) -> np.ndarray:
+        """``[stacks, S]`` int32: what is left of a stack in a state, after terminated subtasks have gone."""
+        active = self.graph.tables.active[self.graph.offset :].copy()
+        if not self.graph.offset:
+            active[0] = True  # the root ends with the episode
+        left = []
+        for chain in self.chains:
+            remains = np.full(self.graph.num_states, len(self.chains), np.int32)
+            running = np.ones(self.graph.num_states, np.bool_)
+            for length, task in enumerate(chain, start=1):
+                running = running & active[task]
+                remains = np.where(running, np.int32(self.number[chain[:length]]), remains)
+            left.append(remains)
+        return np.stack(left)
+
+    def decided(self, slots: Array) -> tuple[Array, Array]:
+        """``[stacks, S]`` int32 each: the stack and the action after the subtask on top of a stack decides."""
+        stacks: dict[tuple[int, ...], tuple[Array, Array]] = {}
+        for chain in reversed(self.chains):  # longer ones first
+            kind, slot = self.graph.kind(chain[-1]), slots[chain[-1]]
+            action = jnp.asarray(np.array(kind.actions, np.int32))[slot]
+            stack = jnp.full_like(action, self.number[chain])
+            for k, child in enumerate(kind.tasks):
+                if child >= 0:
+                    its_stack, its_action = stacks[(*chain, child)]
+                    stack = lax.select(slot == k, its_stack, stack)
+                    action = lax.select(slot == k, its_action, action)
+            stacks[chain] = (stack, action)
+        found = [stacks[chain] for chain in self.chains]
+        return jnp.stack([stack for stack, _ in found]), jnp.stack([action for _, action in found])
+
+
 def expected_return(
     env: TabularEnvironment[Any, Any], policy: HierarchicalPolicy, params: Any, zero: Array, tolerance: float = 1e-4
 ) -> Array:
@@ -60,29 +111,32 @@ def expected_return(
     if any(isinstance(value, Tracer) for value in params):
         raise ValueError("exact evaluation needs fixed params: it cannot be combined with an axis of the environment")
     chances = _chances(env, params)
-    num_tasks, num_states = policy.active.shape
-    pair = jnp.arange(num_states, dtype=jnp.int32)[None] * chances.num_actions + policy.actions  # [T, S]
-    after = jnp.asarray(chances.next_state)[pair]  # [T, S, K]
+    stacks, choice = _Stacks(policy.graph), policy.choice
+    stack, action = stacks.decided(policy.slots)
+    left, num_stacks, num_states = jnp.asarray(stacks.left()), len(stacks.chains), policy.graph.num_states
+    pair = jnp.arange(num_states, dtype=jnp.int32)[None] * chances.num_actions + action  # [stacks, S]
+    after = jnp.asarray(chances.next_state)[pair]  # [stacks, S, K]
     probability = jnp.asarray(chances.probability)[pair]
     reward = jnp.asarray(chances.reward)[pair]
-    goes_on = jnp.asarray(policy.active)
     outcomes = range(after.shape[-1])
 
     def entering(value: Array) -> Array:
         """[S]: value of a state in which the root decides."""
-        return expectation([policy.choice[:, t] for t in range(num_tasks)], list(value), zero)
+        if choice is None:
+            return value[0]
+        return expectation([choice[:, task] for task in policy.graph.levels[0]], list(value), zero)
 
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         value, _, count = carry
-        arriving = jnp.where(goes_on, value, jnp.broadcast_to(entering(value), value.shape))  # [T, S]
-        follows = [jnp.take_along_axis(arriving, after[..., k], axis=1) for k in outcomes]
+        arriving = jnp.take_along_axis(jnp.concatenate([value, entering(value)[None]]), left, axis=0)
+        follows = [arriving[stack, after[..., k]] for k in outcomes]
         updated = reward + expectation([probability[..., k] for k in outcomes], follows, zero)
         return updated, jnp.abs(updated - value).max(), count + 1
 
     value, _, _ = lax.while_loop(
         lambda carry: (carry[1] > tolerance) & (carry[2] < params.max_steps),
         sweep,
-        (jnp.zeros((num_tasks, num_states), jnp.float32), jnp.float32(np.inf), jnp.int32(0)),
+        (jnp.zeros((num_stacks, num_states), jnp.float32), jnp.float32(np.inf), jnp.int32(0)),
     )
     starts = np.flatnonzero(chances.initial)
     weights = [jnp.float32(chances.initial[s]) for s in starts]

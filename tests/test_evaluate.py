@@ -89,7 +89,7 @@ def planned_choice(parts: np.ndarray, prepared: Any, run: hrljax.Run) -> np.ndar
 
 def test_the_root_is_taken_to_choose_as_it_does(learned: Learned):
     root, tables = learned.learner.root, learned.tables.root
-    child_value = learned.learner._child_value(learned.prepared, learned.tables)
+    child_value = learned.learner._child_value(learned.prepared.graph, learned.tables.parts)
     found = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, ZERO)))(
         jnp.arange(SMALL.num_states, dtype=jnp.int32)
     )

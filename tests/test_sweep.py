@@ -192,7 +192,7 @@ def test_several_keys_are_refused():
         (lambda: hrljax.ModelRoot(sweeps=-1), ValueError, "sweeps must be an integer of at least 0, got -1"),
         (lambda: hrljax.HORDQ(HIERARCHY, bootstrap="none"), ValueError, "bootstrap must be one of .*got 'none'"),
         (lambda: hrljax.HORDQ("Bus"), TypeError, "hierarchy must be a Hierarchy .*got 'Bus'"),
-        (lambda: hrljax.HORDQ(HIERARCHY, root="random"), TypeError, "root must be a root .*got 'random'"),
+        (lambda: hrljax.HORDQ(HIERARCHY, root="random"), TypeError, "root must be None or a root .*got 'random'"),
     ],
 )
 def test_learners_refuse_wrong_settings(make: Callable[[], Any], error: type[Exception], message: str):

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import HierarchicalPolicy, expected_return
+from hrljax.evaluate import expected_return, flat_policy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.numerics import put_row, take_row
@@ -64,9 +63,7 @@ class _OneStep(Learner):
         self, env: TabularEnvironment[Any, Any], prepared: int, tables: Array, params: Any, zero: Array
     ) -> Array:
         actions = jnp.argmax(tables.reshape(-1, prepared), axis=-1).astype(jnp.int32)
-        always = np.ones((1, env.num_states), np.bool_)
-        policy = HierarchicalPolicy(actions[None], always, jnp.ones((env.num_states, 1), jnp.float32))
-        return expected_return(env, policy, params, zero)
+        return expected_return(env, flat_policy(env, actions), params, zero)
 
     def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
         return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))

@@ -207,7 +207,7 @@ class ModelRoot(Root):
             )
             allowed.append(can_invoke)
         best, value = td.greedy(worth)
-        slot = lax.select(word < threshold(epsilon), _nth_allowed(allowed, word), best)
+        slot = lax.select(word < threshold(epsilon), td.nth_allowed(allowed, word), best)
         return Decision(td.pick(tasks, slot), point, slot), (value, *until_ends)
 
     def probabilities(
@@ -281,14 +281,3 @@ class ModelRoot(Root):
 
     def _unknown(self) -> Array:
         return jnp.asarray(self.unknown_value, jnp.float32)
-
-
-def _nth_allowed(allowed: list[Array], word: Array) -> Array:
-    """A uniformly random one of the allowed slots (int32)."""
-    count = sum((a.astype(jnp.uint32) for a in allowed), jnp.uint32(0))
-    skip = word % lax.max(count, jnp.uint32(1))
-    chosen, seen = jnp.int32(0), jnp.uint32(0)
-    for slot, is_allowed in enumerate(allowed):
-        chosen = lax.select(is_allowed & (seen == skip), jnp.int32(slot), chosen)
-        seen = seen + is_allowed.astype(jnp.uint32)
-    return chosen

@@ -24,6 +24,7 @@ class TaskTables:
 
     active: np.ndarray  # [tasks, S] bool: the subtask can be invoked and goes on
     goal: np.ndarray  # [tasks, S] float32: factor of the pseudo-reward on termination
+    root_invokes: np.ndarray  # [tasks] bool: the root has it as a child
     root_children: np.ndarray  # [S, K] int32: subtasks that the root may invoke, the first `root_counts`
     root_counts: np.ndarray  # [S] int32
 
@@ -75,11 +76,12 @@ def tabulate(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTab
                 f"subtask {task.name!r} has no child to invoke in {stuck.sum()} states, for example {where}"
             )
     children = [hierarchy.index(c) for c in hierarchy.root.children if not hierarchy.is_primitive(c)]
+    invokes = np.isin(np.arange(len(hierarchy.subtasks)), children)
     counts = active[children].sum(0).astype(np.int32)
     slots = np.zeros((env.num_states, max(int(counts.max(initial=0)), 1)), np.int32)
     for state, slot in zip(*np.nonzero(active[children].T), strict=True):
         slots[state, int(np.sum(active[children[:slot]][:, state]))] = children[slot]
-    return TaskTables(active, goal, slots, counts)
+    return TaskTables(active, goal, invokes, slots, counts)
 
 
 def decision_states(tables: TaskTables, model: Model, initial: np.ndarray) -> np.ndarray:
@@ -87,7 +89,7 @@ def decision_states(tables: TaskTables, model: Model, initial: np.ndarray) -> np
     successors = model.successors()
     follows = np.maximum(successors, 0)
     decides = initial > 0
-    for active in tables.active[1:]:
+    for active in tables.active[tables.root_invokes]:
         ended = (successors >= 0) & active[:, None, None] & ~active[follows]
         decides[follows[ended]] = True
     return decides
@@ -119,7 +121,8 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
         raise ValueError(f"the abstraction of {hierarchy.root.name!r} gives two states the same two parts")
     exists = np.bincount(points[in_grid], minlength=len(state)).astype(np.bool_).reshape(len(x_names), -1)
 
-    invocable: np.ndarray = (tables.active[1:, state] & exists.ravel()).reshape(-1, len(x_names), num_y)
+    can_be = tables.active & tables.root_invokes[:, None]
+    invocable: np.ndarray = (can_be[1:, state] & exists.ravel()).reshape(-1, len(x_names), num_y)
     somewhere = np.asarray(invocable.any(2))
     num_slots = max(int(somewhere.sum(0).max()), 1)
     tasks = np.zeros((len(x_names), num_slots), np.int32)

@@ -102,3 +102,14 @@ def epsilon_greedy(greedy_action: Array, num_actions: int, word: Array, epsilon:
     """The greedy action, or with probability `epsilon` a uniformly random one; uses one word."""
     anything = (word % np.uint32(num_actions)).astype(jnp.int32)
     return lax.select(word < threshold(epsilon), anything, greedy_action)
+
+
+def nth_allowed(allowed: list[Array], word: Array) -> Array:
+    """A uniformly random one of the allowed slots (int32)."""
+    count = sum((a.astype(jnp.uint32) for a in allowed), jnp.uint32(0))
+    skip = word % lax.max(count, jnp.uint32(1))
+    chosen, seen = jnp.int32(0), jnp.uint32(0)
+    for slot, is_allowed in enumerate(allowed):
+        chosen = lax.select(is_allowed & (seen == skip), jnp.int32(slot), chosen)
+        seen = seen + is_allowed.astype(jnp.uint32)
+    return chosen

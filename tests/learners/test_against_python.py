@@ -271,13 +271,21 @@ HIERARCHY = Bus().hierarchy()
 LEARNERS = {
     "Q-learning": hrljax.QLearning(initial_value=-25.0, discount=0.97),
     "SARSA": hrljax.SARSA(step_size=0.3, epsilon=0.2, discount=0.97, initial_value=-3.0),
-    "HORDQ": hrljax.HORDQ(HIERARCHY, pseudo_reward=5.0, discount=0.97, initial_value=-25.0),
+    "HORDQ": hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, discount=0.97, initial_value=-25.0),
     "HORDQ on policy": hrljax.HORDQ(
-        HIERARCHY, pseudo_reward=7.0, bootstrap="on_policy", step_size=optax.linear_schedule(0.5, 0.1, 40)
+        HIERARCHY,
+        hrljax.RandomRoot(),
+        pseudo_reward=7.0,
+        bootstrap="on_policy",
+        step_size=optax.linear_schedule(0.5, 0.1, 40),
     ),
-    "HORDQ in the backup": hrljax.HORDQ(HIERARCHY, pseudo_reward=5.0, pseudo_reward_in="backup", discount=0.9),
+    "HORDQ in the backup": hrljax.HORDQ(
+        HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, pseudo_reward_in="backup", discount=0.9
+    ),
     "HORDQ planned": hrljax.HORDQ(HIERARCHY, hrljax.ModelRoot(), pseudo_reward=5.0, discount=0.99, initial_value=-25.0),
-    "MAXQ": hrljax.MAXQ(HIERARCHY, pseudo_reward=60.0, epsilon=optax.linear_schedule(0.5, 0.1, 40), discount=0.97),
+    "MAXQ": hrljax.MAXQ(
+        HIERARCHY, hrljax.RandomRoot(), pseudo_reward=60.0, epsilon=optax.linear_schedule(0.5, 0.1, 40), discount=0.97
+    ),
 }
 
 

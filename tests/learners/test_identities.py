@@ -32,7 +32,7 @@ def runner(learner: Any, params: BusParams | None = None) -> Any:
 @pytest.fixture(scope="module")
 def hordq() -> Any:
     """A run of HORDQ by its pseudo-reward."""
-    learner = hrljax.HORDQ(HIERARCHY, initial_value=-25.0)
+    learner = hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), initial_value=-25.0)
     run = runner(learner)
     found: dict[float, hrljax.Run] = {}
 
@@ -56,7 +56,9 @@ def assert_equal(one: Any, other: Any) -> None:
 def test_without_a_pseudo_reward_its_table_does_nothing(hordq):
     with_table = hordq(0.0)
     assert not parts(with_table)[..., PSEUDO].any()
-    without = runner(hrljax.HORDQ(HIERARCHY, initial_value=-25.0, pseudo_reward_in="backup"))(pseudo_reward=0.0)
+    without = runner(hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), initial_value=-25.0, pseudo_reward_in="backup"))(
+        pseudo_reward=0.0
+    )
     assert_equal(with_table, without)
     assert parts(with_table)[..., COMPLETION].any()
 
@@ -209,12 +211,14 @@ def test_a_constant_schedule_is_its_number(name: str):
 
 
 def test_a_constant_schedule_of_the_pseudo_reward_is_its_number(hordq):
-    learner = hrljax.HORDQ(HIERARCHY, initial_value=-25.0, pseudo_reward=optax.constant_schedule(5.0))
+    learner = hrljax.HORDQ(
+        HIERARCHY, hrljax.RandomRoot(), initial_value=-25.0, pseudo_reward=optax.constant_schedule(5.0)
+    )
     assert_equal(hordq(5.0), runner(learner)())
 
 
 def test_the_pseudo_value_of_the_last_step_into_the_goal_is_the_whole_pseudo_reward(bus: Bus):
-    learner = hrljax.HORDQ(HIERARCHY, pseudo_reward=5.0, step_size=0.5, epsilon=0.3)
+    learner = hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, step_size=0.5, epsilon=0.3)
     learned = parts(runner(learner, BusParams(slip_probability=0.0))())
     area, reached = bus.layout.area, bus.layout.area[bus.layout.neighbour]
     into_goal = (reached == np.arange(6)[:, None, None]) & (reached != area[:, None])
