@@ -81,7 +81,7 @@ def _two_rooms() -> CellMap:
     nowhere = np.zeros(len(cells), np.bool_)
     return CellMap(
         text=TWO_ROOMS.replace("S", " "),
-        places=np.array([boxes.place(cell) for cell in cells]) + (0, 1),
+        places=np.array([boxes.place(cell) for cell in cells]) + np.array([0, 1]),
         height=boxes.height,
         width=boxes.width,
         neighbour=neighbours(read_edges(boxes)[0] == WALL, boxes.width),
