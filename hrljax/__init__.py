@@ -13,7 +13,8 @@ from hrljax.envs.base import Environment, TabularEnvironment  # noqa: E402
 from hrljax.envs.registry import make, register, registered  # noqa: E402
 from hrljax.hierarchy import Abstraction, Hierarchy, Subtask  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
-from hrljax.learners.hierarchical import HORDQ, MAXQ  # noqa: E402
+from hrljax.learners.hamq import HAMQ  # noqa: E402
+from hrljax.learners.hierarchical import HORDQ, MAXQ, MAXQ0  # noqa: E402
 from hrljax.learners.roots import ModelRoot, RandomRoot  # noqa: E402
 from hrljax.results import load, save  # noqa: E402
 from hrljax.sweep import sweep  # noqa: E402
@@ -23,8 +24,10 @@ if _TYPE_CHECKING:
     from hrljax import plots, stats
 
 __all__ = [
+    "HAMQ",
     "HORDQ",
     "MAXQ",
+    "MAXQ0",
     "SARSA",
     "Abstraction",
     "Environment",

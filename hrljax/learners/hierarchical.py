@@ -154,11 +154,23 @@ class MAXQ(_Decomposed):
     """MAXQ-Q (Dietterich 2000, Table 4; thesis 2.5.1): a subtask ignores what follows its end.
 
     Its completion function C is Q_c here, and C~ is Q_c + Q_p. The pseudo-reward is paid in full at
-    the end, as any reward of that step. With a pseudo-reward of 0 it is MAXQ-0, in which a subtask
-    reaches its goal only where that ends it sooner.
+    the end, as any reward of that step. With a pseudo-reward of 0 a subtask has no reason to reach
+    its goal, unless that ends it sooner.
 
     Attributes: as `HORDQ`.
     """
 
     name = "MAXQ-Q"
     _has_exit_value = False
+
+
+@dataclass(frozen=True)
+class MAXQ0(MAXQ):
+    """MAXQ-0 (Dietterich 2000, Table 2): MAXQ-Q without pseudo-rewards.
+
+    Attributes: as `HORDQ`, but for the pseudo-reward.
+    """
+
+    pseudo_reward: float = field(default=0.0, init=False)
+
+    name = "MAXQ-0"
