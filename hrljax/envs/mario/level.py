@@ -4,15 +4,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hrljax.envs.mario.tiles import HEIGHT, TILE, TILES
+from hrljax.envs.mario.tiles import EMPTY, HEIGHT, TILE, TILES
 
 SCREEN_WIDTH = 320
 """Pixels of a screen from left to right."""
+MIN_COLUMNS = SCREEN_WIDTH // TILE
+"""Columns of the narrowest level: one screen."""
 MONSTERS = ("red koopa", "green koopa", "goomba", "spiky", "piranha")
 """Kinds of monster; kind k of `Level.spawns` is ``MONSTERS[k - 1]``."""
 RED_KOOPA, GREEN_KOOPA, GOOMBA, SPIKY, PIRANHA = range(1, 6)
 WINGED = 16
 KIND_MASK = 15
+SPAWNS = (0, *range(RED_KOOPA, PIRANHA + 1), *range(RED_KOOPA + WINGED, PIRANHA + WINGED))
+"""What a cell of `Level.spawns` can hold; plants have no wings."""
 
 
 class Level(NamedTuple):
@@ -30,6 +34,12 @@ class Level(NamedTuple):
         """Columns of tiles."""
         return self.tiles.shape[-2]
 
+    @property
+    def exit_row(self) -> int:
+        """Top row of the ground at the exit (15 over a pit); of one level, not of a batch."""
+        solid = np.asarray(self.tiles)[int(self.exit_column)] != EMPTY
+        return HEIGHT - int(np.argmin(np.append(solid[::-1], False)))
+
 
 def check_level(level: Level) -> Level:
     """The level with its arrays in the types that `Level` promises, after checking it.
@@ -38,23 +48,19 @@ def check_level(level: Level) -> Level:
         level: one level (no leading axes).
 
     Raises:
-        ValueError: an array has another shape, a tile or a monster is unknown, monsters stand in the
-            wrong way (a winged piranha), or the exit lies outside; names the column and row.
+        ValueError: an array has another shape or type, a tile or a monster is unknown (the message names its
+            column and row), or the exit lies outside.
     """
     tiles, spawns = np.asarray(level.tiles), np.asarray(level.spawns)
-    fewest = SCREEN_WIDTH // TILE
-    if tiles.ndim != 2 or tiles.shape[1] != HEIGHT or tiles.shape[0] < fewest:
-        raise ValueError(f"level.tiles must have shape [W >= {fewest}, {HEIGHT}], got {list(tiles.shape)}")
+    if tiles.ndim != 2 or tiles.shape[1] != HEIGHT or tiles.shape[0] < MIN_COLUMNS:
+        raise ValueError(f"level.tiles must have shape [W >= {MIN_COLUMNS}, {HEIGHT}], got {list(tiles.shape)}")
     if spawns.shape != tiles.shape:
         raise ValueError(f"level.spawns must have the shape of tiles, {list(tiles.shape)}, got {list(spawns.shape)}")
     for name, array in (("tiles", tiles), ("spawns", spawns)):
         if not np.issubdtype(array.dtype, np.integer):
             raise ValueError(f"level.{name} must hold integers, got {array.dtype}")
     _check_cells("tiles", tiles, np.isin(tiles, TILES), "a tile byte of hrljax.envs.mario.tiles.TILES")
-    kind, wings = spawns & KIND_MASK, spawns & ~KIND_MASK
-    known = (spawns == 0) | ((kind >= RED_KOOPA) & (kind <= PIRANHA) & ((wings == 0) | (wings == WINGED)))
-    _check_cells("spawns", spawns, known, f"0, a kind 1..{len(MONSTERS)}, or that + {WINGED} for a winged one")
-    _check_cells("spawns", spawns, spawns != PIRANHA + WINGED, "no winged piranha")
+    _check_cells("spawns", spawns, np.isin(spawns, SPAWNS), f"one of {SPAWNS}: a kind, + {WINGED} with wings")
     exit_column = int(level.exit_column)
     if not 0 < exit_column < len(tiles):
         raise ValueError(f"level.exit_column must lie in 1..{len(tiles) - 1}, got {exit_column}")

@@ -24,8 +24,10 @@ QUESTION_COIN = 0x15
 QUESTION_POWER_UP = 0x16
 COIN = 0x22
 
+OVERGROUND, UNDERGROUND, CASTLE = LEVEL_TYPES = range(3)
+LEVEL_TYPE_NAMES = ("overground", "underground", "castle")
 GROUND_OFFSETS = (0, 12, 8)
-"""What is added to a ground byte in levels of type 0 (overground), 1 (underground) and 2 (castle)."""
+"""What is added to an overground ground byte in levels of each type."""
 GROUND_EDGES = (0x80, 0x81, 0x82, 0x90, 0x92, 0xA0, 0xA1, 0xA2)
 GROUND_INTERIOR = 0x91
 GROUND_INNER_CORNERS = (0x83, 0x93, 0xA3, 0xB3)
