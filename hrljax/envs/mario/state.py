@@ -8,22 +8,16 @@ one game; a batch of games is a batch of these trees (`jax.vmap`).
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
-TILE = 16
-"""Pixels in a tile."""
-SCREEN_WIDTH = 320
-"""Pixels that the camera sees horizontally."""
+from hrljax.envs.mario.level import MONSTERS, PIRANHA
+
 MAX_SPRITES = 24
 """Places for sprites. The recordings of the original never need more than 16."""
 
-RED_KOOPA, GREEN_KOOPA, GOOMBA, SPIKY, PIRANHA, MUSHROOM, FLOWER, FIREBALL, SHELL = range(1, 10)
-"""Kinds of sprites. The first five are enemies; spawn templates use the same numbers."""
-KIND_NAMES = (
-    "none", "red koopa", "green koopa", "goomba", "spiky", "piranha plant", "mushroom", "fire flower",
-    "fireball", "shell",
-)  # fmt: skip
+MUSHROOM, FLOWER, FIREBALL, SHELL = range(PIRANHA + 1, PIRANHA + 5)
+"""Kinds of sprites besides the monsters of `hrljax.envs.mario.level`, whose numbers 1 to 5 are theirs too."""
+KIND_NAMES = ("none", *MONSTERS, "mushroom", "fire flower", "fireball", "shell")
 
 ON_GROUND, WINGED, FLYING, CARRIED, DEAD, REMOVED, STRIKING = (1 << i for i in range(7))
 """Bits of `Sprites.flags`.
@@ -134,7 +128,3 @@ def new_player(large: Array | bool = False, fire: Array | bool = False) -> Playe
 def player_height(large: Array) -> Array:
     """Mario's height in pixels (float32)."""
     return lax.select(large, jnp.float32(24), jnp.float32(12))
-
-
-SPRITE_HEIGHTS = np.array([0, 24, 24, 12, 12, 12, 12, 12, 8, 12], np.float32)
-"""Height of each kind in pixels."""
