@@ -108,7 +108,7 @@ def fly_off(sprite: Sprites, xa: Array) -> Sprites:
 def break_apart(sprite: Sprites) -> Sprites:
     """A shell or fireball that dies: it falls out of the screen, backwards."""
     return sprite._replace(
-        xa=np.float32(-2) * sprite.facing.astype(jnp.float32),
+        xa=(-2 * sprite.facing).astype(jnp.float32),
         ya=jnp.float32(-5),
         flags=sprite.flags | np.int32(DEAD),
         dead_time=jnp.int32(DYING_TIME),

@@ -10,7 +10,7 @@ from hrljax.envs.mario.collision import (
     Cell, Purse, Shape, behavior, ceiling_position, floor_position, move_across, move_along, probes_across, tile_at,
     wall_position,
 )  # fmt: skip
-from hrljax.envs.mario.course import Course, Template, template_word, templates_left_of, unpack_template
+from hrljax.envs.mario.course import Course, template_word, templates_left_of, unpack_template
 from hrljax.envs.mario.level import GOOMBA, KIND_MASK, PIRANHA, RED_KOOPA
 from hrljax.envs.mario.level import WINGED as SPAWNS_WINGED
 from hrljax.envs.mario.sprite_list import (
@@ -19,7 +19,7 @@ from hrljax.envs.mario.sprite_list import (
 from hrljax.envs.mario.state import (
     CARRIED, FIREBALL, FLOWER, FLYING, MUSHROOM, ON_GROUND, REMOVED, SHELL, STRIKING, WINGED, Player, Sprites,
 )  # fmt: skip
-from hrljax.envs.mario.tiles import BLOCKS, TILE
+from hrljax.envs.mario.tiles import BLOCKS, HEIGHT, TILE
 from hrljax.numerics import exact_product, opaque_zero, take
 
 _WALK, _ROLL, _SHOOT = np.float32(1.75), np.float32(11), np.float32(8)
@@ -33,16 +33,22 @@ _FALL_DECAY, _FALL_GRAVITY = factor(0.95), np.float32(1)
 _LIGHT_DECAY, _DECAY = factor(np.float32(0.95)), factor(np.float32(0.85))
 
 
-def _plant_start() -> tuple[list[np.float32], np.float32]:
-    """Velocities of a new plant's first four updates, and the one after them."""
-    ya, used = np.float32(-8), []
+def _plant_home(row: int) -> np.float32:
+    """y of a plant that has withdrawn into the pipe whose mouth is in a row."""
+    return np.float32(row * TILE + 24)
+
+
+def _new_plant(row: int) -> tuple[np.float32, np.float32]:
+    """y and ya of a new plant, which makes four moves before its first update."""
+    y, ya = _plant_home(row) - np.float32(1), np.float32(-8)
     for _ in range(4):
-        used.append(ya)
-        ya = np.float32(np.float64(ya) * 0.9) + _PLANT_GRAVITY
-    return used, ya
+        y, ya = y + ya, np.float32(np.float64(ya) * 0.9) + _PLANT_GRAVITY
+    return y, ya
 
 
-_PLANT_STEPS, _PLANT_YA = _plant_start()
+# A table, because XLA would add up constants that are added one after the other.
+_PLANT_Y = np.array([_new_plant(row)[0] for row in range(HEIGHT)], np.float32)
+_PLANT_YA = _new_plant(0)[1]
 
 
 def spawn_all(tick: Tick, course: Course) -> Tick:
@@ -80,13 +86,10 @@ def _spawn(tick: Tick, course: Course, k: Array) -> Tick:
     x = (template.column * TILE + np.int32(TILE // 2)).astype(jnp.float32)
     y = (template.row * TILE + np.int32(TILE - 1)).astype(jnp.float32)
     left = x > world.player.x + np.float32(TILE)
-    plant_y = _plant_home(template) - np.float32(1)
-    for ya in _PLANT_STEPS:
-        plant_y = plant_y + ya
     sprite = new_sprite(
         kind,
         lax.select(plant, x + np.float32(7), x),
-        lax.select(plant, plant_y, y),
+        lax.select(plant, take(jnp.asarray(_PLANT_Y), template.row), y),
         ya=lax.select(plant, jnp.float32(_PLANT_YA), jnp.float32(0)),
         facing=lax.select(left & ~plant, jnp.int32(-1), jnp.int32(1)),
         flags=lax.select(winged, jnp.int32(WINGED), jnp.int32(0)),
@@ -94,11 +97,6 @@ def _spawn(tick: Tick, course: Course, k: Array) -> Tick:
     )
     states = lax.dynamic_update_slice(world.template_states, jnp.full(1, PRESENT), (k,))
     return add(tick._replace(world=world._replace(template_states=states)), sprite)
-
-
-def _plant_home(template: Template) -> Array:
-    """y of a plant that has withdrawn into its pipe."""
-    return (template.row * TILE + np.int32(24)).astype(jnp.float32)
 
 
 def update_all(tick: Tick, course: Course, new_fireball: Array, fireball: Sprites) -> Tick:
@@ -178,7 +176,8 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
     # What does not meet tiles: the dead fall, plants go up and down, items rise.
     falls = dead & (has(flags, FLYING) | plant | shell)
     lives_in_pipe = plant & ~dead
-    home = _plant_home(unpack_template(template_word(course, world.level, lax.max(before.template, jnp.int32(0)))))
+    template = unpack_template(template_word(course, world.level, lax.max(before.template, jnp.int32(0))))
+    home = (template.row * TILE + np.int32(24)).astype(jnp.float32)
     at_home = lives_in_pipe & (y >= home)
     rested = lax.select(at_home, before.aux + 1, lax.select(lives_in_pipe, jnp.int32(0), before.aux))
     mario_away = truncated(lax.abs(world.player.x - x)) > _PLANT_DISTANCE
