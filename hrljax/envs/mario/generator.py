@@ -22,7 +22,6 @@ from hrljax.envs.mario.tiles import (
     HILL_BODIES,
     HILL_TOPS,
     HILL_TOPS_JOINED,
-    LEVEL_TYPES,
     OVERGROUND,
     PIPE_BODY,
     PIPE_MOUTH,
@@ -35,7 +34,8 @@ _EXTRA_COLUMNS = 50
 _LAST_STRETCH = 64
 """No section begins in so many columns at the end."""
 _EXIT_DISTANCE = 8
-_SEEDS = range(-(2**31), 2**31)
+_MOST = 10**6
+"""Largest difficulty and width: weights of sections and tiles stay far from overflow."""
 
 
 def generate_level(seed: int, level_type: int = OVERGROUND, difficulty: int = 0, width: int = 320) -> Level:
@@ -55,10 +55,10 @@ def generate_level(seed: int, level_type: int = OVERGROUND, difficulty: int = 0,
     Raises:
         ValueError: an argument is outside what is said above.
     """
-    _check("seed", seed, seed in _SEEDS, "a signed number of 32 bits")
-    _check("level_type", level_type, level_type in LEVEL_TYPES, "0 overground, 1 underground or 2 castle")
-    _check("difficulty", difficulty, difficulty >= 0 and difficulty in _SEEDS, "at least 0")
-    _check("width", width, width >= MIN_COLUMNS, f"at least one screen, {MIN_COLUMNS} tiles")
+    _check("seed", seed, -(2**31), 2**31 - 1, "a signed number of 32 bits")
+    _check("level_type", level_type, 0, 2, "0 overground, 1 underground or 2 castle")
+    _check("difficulty", difficulty, 0, _MOST, "0 to 1,000,000")
+    _check("width", width, MIN_COLUMNS, _MOST, f"{MIN_COLUMNS} (one screen) to 1,000,000 tiles")
     return _Draft(int(seed), int(level_type), int(difficulty), int(width) + _EXTRA_COLUMNS).level()
 
 
@@ -69,8 +69,8 @@ def generate_levels(
     return stack_levels([generate_level(int(seed), level_type, difficulty, width) for seed in seeds])
 
 
-def _check(name: str, value: int, good: bool, allowed: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not good:
+def _check(name: str, value: int, lowest: int, highest: int, allowed: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not lowest <= value <= highest:
         raise ValueError(f"{name} must be an integer, {allowed}; got {value!r}")
 
 
