@@ -224,6 +224,27 @@ def check_trajectories(path: recordings.Path) -> Iterator[Verdict]:
         yield compare_trajectory(*of[case.id], case)
 
 
+def check_levels(path: recordings.Path) -> Iterator[Verdict]:
+    """Compares a file of recorded levels with the generator, level by level."""
+    for recorded in recordings.read_levels(path):
+        made = level_of(recorded.id)
+        text = _level_difference(made, recorded)
+        where = f"level seed {recorded.id.seed}, type {recorded.id.level_type}, difficulty {recorded.id.difficulty}"
+        yield Verdict(int(not text), 1, f"{where}, width {recorded.id.width}: {text}" if text else "")
+
+
+def _level_difference(made: Level, recorded: recordings.RecordedLevel) -> str:
+    for name in ("tiles", "spawns"):
+        ours, theirs = getattr(made, name), getattr(recorded.level, name)
+        if ours.shape != theirs.shape:
+            return f"{name} have shape {list(ours.shape)}, not {list(theirs.shape)}"
+        if (ours != theirs).any():
+            column, row = np.argwhere(ours != theirs)[0].tolist()
+            return f"{name} at column {column}, row {row} is {ours[column, row]:#04x}, not {theirs[column, row]:#04x}"
+    ours, theirs = (int(made.exit_column), made.exit_row), (int(recorded.level.exit_column), recorded.exit_row)
+    return "" if ours == theirs else f"the exit is at column and row {ours}, not {theirs}"
+
+
 class StepRecord(NamedTuple):
     """What is compared after each step, each array ``[N, ...]``; first row: before the first step."""
 
