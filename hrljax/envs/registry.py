@@ -5,6 +5,7 @@ from typing import Any
 
 from hrljax.envs.base import Environment
 from hrljax.envs.bus import Bus
+from hrljax.envs.mario.env import Mario
 
 _ENVIRONMENTS: dict[str, Callable[..., Environment[Any, Any]]] = {}
 
@@ -37,3 +38,4 @@ def make(name: str, **options: Any) -> Any:
 
 
 register("Bus", Bus)
+register("Mario", Mario)

@@ -11,6 +11,9 @@ from jax import Array, lax
 
 from hrljax import xla
 from hrljax.envs.mario import recordings
+from hrljax.envs.mario.competition import (
+    OBSERVED, Episode, Objects, advance, begin, camera_column, keys_of, objects, screen,
+)  # fmt: skip
 from hrljax.envs.mario.course import Course, make_course, start
 from hrljax.envs.mario.generator import generate_level
 from hrljax.envs.mario.level import Level
@@ -59,16 +62,25 @@ def _record(world: World) -> TickRecord:
 
 def _play(course: Course, world: World, keys: Array, quantum: int | None) -> tuple[World, TickRecord]:
     def step(world: World, keys: Array) -> tuple[World, TickRecord]:
-        world = tick(course, world, keys)
+        world = tick(course, world, keys, quantum=quantum)
         return world, _record(world)
 
     return lax.scan(step, world, keys)
 
 
+def _options() -> dict[str, Any] | None:
+    """Compiler options of a native loop over ticks.
+
+    Without region analysis: with it, some loops of the engine read values that were overwritten.
+    """
+    if not xla.native_loops_available():
+        return None
+    return {name: value for name, value in xla.OPTIONS.items() if "region_analysis" not in name}
+
+
 @lru_cache
 def _compiled(quantum: int | None) -> Any:
-    options = dict(xla.OPTIONS) if xla.native_loops_available() else None
-    return jax.jit(partial(_play, quantum=quantum), compiler_options=options)
+    return jax.jit(partial(_play, quantum=quantum), compiler_options=_options())
 
 
 def play(
@@ -210,3 +222,137 @@ def check_trajectories(path: recordings.Path) -> Iterator[Verdict]:
     of = courses([case.id for case in cases])
     for case in cases:
         yield compare_trajectory(*of[case.id], case)
+
+
+def check_levels(path: recordings.Path) -> Iterator[Verdict]:
+    """Compares a file of recorded levels with the generator, level by level."""
+    for recorded in recordings.read_levels(path):
+        made = level_of(recorded.id)
+        text = _level_difference(made, recorded)
+        where = f"level seed {recorded.id.seed}, type {recorded.id.level_type}, difficulty {recorded.id.difficulty}"
+        yield Verdict(int(not text), 1, f"{where}, width {recorded.id.width}: {text}" if text else "")
+
+
+def _level_difference(made: Level, recorded: recordings.RecordedLevel) -> str:
+    for name in ("tiles", "spawns"):
+        ours, theirs = getattr(made, name), getattr(recorded.level, name)
+        if ours.shape != theirs.shape:
+            return f"{name} have shape {list(ours.shape)}, not {list(theirs.shape)}"
+        if (ours != theirs).any():
+            column, row = np.argwhere(ours != theirs)[0].tolist()
+            return f"{name} at column {column}, row {row} is {ours[column, row]:#04x}, not {theirs[column, row]:#04x}"
+    ours, theirs = (int(made.exit_column), made.exit_row), (int(recorded.level.exit_column), recorded.exit_row)
+    return "" if ours == theirs else f"the exit is at column and row {ours}, not {theirs}"
+
+
+class StepRecord(NamedTuple):
+    """What is compared after each step, each array ``[N, ...]``; first row: before the first step."""
+
+    objects: Objects
+    screen: Array
+    camera: Array
+    phase: Array
+    coins: Array
+    kills: Array
+    won: Array
+
+
+def _observe(course: Course, episode: Episode) -> StepRecord:
+    world = episode.world
+    won = world.player.win_time > 0
+    column = camera_column(episode)
+    return StepRecord(
+        objects(world), screen(course, episode), column, episode.phase, world.coins, world.kills, won
+    )  # fmt: skip
+
+
+def _play_steps(course: Course, episode: Episode, keys: Array, max_steps: Array) -> tuple[Episode, StepRecord]:
+    def step(episode: Episode, keys: Array) -> tuple[Episode, StepRecord]:
+        episode = advance(course, episode, keys, max_steps)
+        return episode, _observe(course, episode)
+
+    return lax.scan(step, episode, keys)
+
+
+@lru_cache
+def _compiled_steps() -> Any:
+    return jax.jit(_play_steps, compiler_options=_options())
+
+
+_begin = jax.jit(lambda course, index: begin(course, index))
+_first_record = jax.jit(lambda course, episode: _observe(course, episode))
+
+
+def play_steps(course: Course, index: int, recorded: recordings.Episode) -> StepRecord:
+    """Plays the actions of a recorded episode on level `index` of a course, as NumPy arrays."""
+    episode = _begin(course, jnp.int32(index))
+    count = recorded.num_steps
+    keys = np.zeros(-(-count // _CHUNK) * _CHUNK, np.int32)
+    keys[:count] = [keys_of(*action) for action in recorded.actions[1:].tolist()]
+    parts = [jax.tree.map(lambda a: np.asarray(a)[None], _first_record(course, episode))]
+    for i in range(0, len(keys), _CHUNK):
+        chunk = jnp.asarray(keys[i : i + _CHUNK])
+        episode, record = _compiled_steps()(course, episode, chunk, jnp.int32(recorded.max_steps))
+        parts.append(jax.tree.map(np.asarray, record))
+    return jax.tree.map(lambda *chunks: np.concatenate(chunks)[: count + 1], *parts)
+
+
+_GOAL, _DEATH, _STEP, _COIN, _KILL = 100.0, -10.0, -0.01, 1.0, 1.0
+
+
+def compare_episode(course: Course, index: int, recorded: recordings.Episode) -> Verdict:
+    """Compares an episode step by step: objects, velocities, characters, camera, reward, terminal."""
+    ours = play_steps(course, index, recorded)
+    count = recorded.num_steps + 1
+    steps = np.arange(count)
+    terminal = ours.phase == OBSERVED
+    # At the end the program gives the observation of the step before once more.
+    seen = np.where(terminal, np.maximum(steps - 1, 0), steps)
+    value = _STEP * (steps - 1).astype(np.float64) + _COIN * ours.coins + _KILL * ours.kills
+    reward = np.concatenate([[0.0], np.diff(value)])
+    reward = np.where(terminal, np.where(ours.won, _GOAL, _DEATH), reward)
+    identical, first = 0, ""
+    for t in range(count):
+        problem = _step_difference(ours, recorded, t, int(seen[t]), bool(terminal[t]), float(reward[t]))
+        identical += not problem
+        if problem and not first:
+            first = f"{_name(recorded)}: after step {t} {problem}"
+    return Verdict(identical, count, first)
+
+
+def _step_difference(
+    ours: StepRecord, recorded: recordings.Episode, t: int, seen: int, terminal: bool, reward: float
+) -> str:
+    """What differs in a row, in words; empty if nothing."""
+    if terminal != bool(recorded.terminals[t]):
+        return f"the episode is {'' if terminal else 'not '}over"
+    if reward != recorded.rewards[t]:
+        return f"the reward is {reward!r}, not {recorded.rewards[t]!r}"
+    if ours.camera[seen] != recorded.camera_tiles[t]:
+        return f"the camera is at column {ours.camera[seen]}, not {recorded.camera_tiles[t]}"
+    if (ours.screen[seen] != recorded.symbols[t]).any():
+        row, column = np.argwhere(ours.screen[seen] != recorded.symbols[t])[0]
+        symbols = chr(ours.screen[seen, row, column]), chr(recorded.symbols[t, row, column])
+        return "the character in row {}, column {} is {!r}, not {!r}".format(row, column, *symbols)
+    types, numbers = recorded.objects(t)
+    count = int(ours.objects.present[seen].sum())
+    mine = {name: values[seen, :count] for name, values in ours.objects._asdict().items()}
+    if count != len(types):
+        return f"the kinds of objects are {mine['kind'].tolist()}, not {types[:, 0].tolist()}"
+    mine["y"] = 16.0 - mine["depth"].astype(np.float64)
+    theirs = dict(zip(("kind", "winged", "x", "y", "dx", "dy"), (*types.T, *numbers.T), strict=True))
+    for name, values in theirs.items():
+        own = mine[name].astype(values.dtype)
+        differs = own.view(np.uint8).reshape(count, -1) != np.ascontiguousarray(values).view(np.uint8).reshape(count, -1)
+        if differs.any():
+            i = int(np.argmax(differs.any(axis=1)))
+            return f"object {i}: {name} is {own[i]}, not {values[i]}"
+    return ""
+
+
+def check_episodes(path: recordings.Path) -> Iterator[Verdict]:
+    """Compares a file of recorded steps, episode by episode."""
+    cases = recordings.read_episodes(path)
+    of = courses([case.id for case in cases])
+    for case in cases:
+        yield compare_episode(*of[case.id], case)

@@ -9,6 +9,7 @@ from hrljax.envs.mario.contacts import strike_all, touch_all
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.level import SCREEN_WIDTH
 from hrljax.envs.mario.player import animate, die, down, finish, move, shoots, steer
+from hrljax.envs.mario.quantum import snap
 from hrljax.envs.mario.sprite_list import Tick, has, read, settle, when, with_flag, write
 from hrljax.envs.mario.sprites import fireball_of, spawn_all, update_all
 from hrljax.envs.mario.state import CARRIED, FIREBALL, REMOVED, SPEED, World
@@ -19,7 +20,9 @@ _MARGIN = 64
 _SCREEN_HEIGHT = 240
 
 
-def tick(course: Course, world: World, keys: Array, out_of_time: Array | bool = False) -> World:
+def tick(
+    course: Course, world: World, keys: Array, out_of_time: Array | bool = False, quantum: int | None = None
+) -> World:
     """The world one tick later. Pure, for one game.
 
     Args:
@@ -27,6 +30,8 @@ def tick(course: Course, world: World, keys: Array, out_of_time: Array | bool = 
         world: the game.
         keys: the keys held, bits `hrljax.envs.mario.state.LEFT` and so on (int32).
         out_of_time: the limit of steps is reached: Mario dies (bool).
+        quantum: after the tick, positions and velocities are moved to the nearest multiple of
+            1 / quantum pixels; None leaves them exact.
     """
     late = jnp.asarray(out_of_time)
     world = world._replace(player=die(world.player, late), paused=world.paused | late)
@@ -37,7 +42,8 @@ def tick(course: Course, world: World, keys: Array, out_of_time: Array | bool = 
     begun = _mark_gone(world)
     paused = world.paused
     ongoing = when(~paused, lambda tick: _play(course, tick, keys), begun)
-    return settle(when(paused, _pause, ongoing))
+    world = settle(when(paused, _pause, ongoing))
+    return world if quantum is None else snap(world, quantum)
 
 
 def _mark_gone(world: World) -> Tick:
