@@ -57,7 +57,7 @@ class RegressionTree:
     categories: tuple[int, ...]
     max_depth: int = 12
     min_leaf: int = 5
-    num_bins: int = 64
+    num_bins: int = 128
 
     def __post_init__(self) -> None:
         if not isinstance(self.categories, tuple):
@@ -123,12 +123,12 @@ class RegressionTree:
         given = jnp.int32(len(inputs)) if count is None else jnp.asarray(count)
         self._check(inputs, targets, group, num_groups, given)
         num_rows, num_targets = targets.shape
-        count = given.astype(jnp.int32)
-        valid = jnp.arange(num_rows, dtype=jnp.int32) < count
-        binned = bin_inputs(inputs, count, self.categories, self.num_bins)
+        used = given.astype(jnp.int32)
+        valid = jnp.arange(num_rows, dtype=jnp.int32) < used
+        binned = bin_inputs(inputs, used, self.categories, self.num_bins)
         quanta = quantise(targets.T, valid)
         values = quanta.values.reshape(-1)
-        rows, starts = _grouped(group, count, num_groups)
+        rows, starts = _grouped(group, used, num_groups)
         capacity = self.capacity(num_rows)
         arrays = empty_arrays(self._growth, num_groups * num_targets * capacity, rows)
 
