@@ -1,0 +1,318 @@
+"""A task hierarchy on a known model, as one sparse decision process over (calling stack, state).
+
+Every node is a moment in which one subtask decides: its calling stack (a *context*, a path of the
+task graph from the top) and the state. Its rows are the children that it may invoke there. A
+primitive child takes a step, after which the subtask that then has control decides; a composite
+child takes no time and hands control to its own node. Values over nodes are exact for any depth and
+any number of callers, where a value by (subtask, state) would depend on who called.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from hrljax.hierarchy import Hierarchy
+from hrljax.solvers.model import Model
+
+MAX_CONTEXTS = 4096
+Termination = Literal["immediate", "on_return"]
+
+
+class Contexts(NamedTuple):
+    """The calling stacks of a task graph, callers before the called; the first holds the top alone."""
+
+    task: np.ndarray  # [C] int: the subtask that decides
+    parent: np.ndarray  # [C] int: the context that called it; -1 for the top
+    called: np.ndarray  # [C, K] int: the context of the child in each slot; -1 for actions and empty slots
+
+    @property
+    def count(self) -> int:
+        return len(self.task)
+
+    def under(self, context: int) -> np.ndarray:
+        """``[C]`` bool: the context and everything that it calls, directly or not."""
+        inside = np.zeros(self.count, np.bool_)
+        inside[context] = True
+        for later in range(context + 1, self.count):
+            inside[later] = self.parent[later] >= 0 and inside[self.parent[later]]
+        return inside
+
+
+def contexts(hierarchy: Hierarchy, top: str | None = None) -> Contexts:
+    """Every path from a subtask (the root if None) to a subtask below it.
+
+    Raises:
+        ValueError: there are more than `MAX_CONTEXTS` of them.
+    """
+    width = max(len(task.children) for task in hierarchy.subtasks)
+    stacks = [(hierarchy.index(top or hierarchy.root.name), -1)]
+    called: list[np.ndarray] = []
+    while len(called) < len(stacks):
+        number = len(called)
+        called.append(np.full(width, -1))
+        for slot, child in enumerate(hierarchy.subtasks[stacks[number][0]].children):
+            if not hierarchy.is_primitive(child):
+                called[number][slot] = len(stacks)
+                stacks.append((hierarchy.index(child), number))
+        if len(stacks) > MAX_CONTEXTS:
+            raise ValueError(f"the hierarchy has more than {MAX_CONTEXTS} calling stacks")
+    task, parent = np.array(stacks).T
+    return Contexts(task, parent, np.stack(called))
+
+
+@dataclass(frozen=True, eq=False)
+class JointProcess:
+    """N nodes (context, state) and R rows (node, child), rows sorted by node and slot."""
+
+    hierarchy: Hierarchy
+    contexts: Contexts
+    node: np.ndarray  # [C, S] int: number of a node; -1 where the context cannot have control
+    context: np.ndarray  # [N] int
+    state: np.ndarray  # [N] int
+    row_node: np.ndarray  # [R] int
+    row_slot: np.ndarray  # [R] int: the child's slot in its subtask
+    reward: np.ndarray  # [R] expected reward of the step; 0 for a composite child
+    goal: np.ndarray  # [R] expected factor of the top's pseudo-reward, paid with the reward of the step
+    ends: np.ndarray  # [R] probability that the step ends the episode or the top
+    leaves: np.ndarray  # [R] probability that the step ends the top but not the episode
+    follows: sparse.csr_array  # [R, N] discounted probability of the node that decides next
+    discount: float
+
+    @property
+    def num_nodes(self) -> int:
+        return len(self.state)
+
+    @cached_property
+    def first_row(self) -> np.ndarray:
+        """``[N]`` int: the first row of each node."""
+        return np.searchsorted(self.row_node, np.arange(self.num_nodes))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Contexts, states, slots: of `spread` rows."""
+        return (*self.node.shape, self.contexts.called.shape[1])
+
+    def where(self, node: int) -> str:
+        """A node in words, for messages."""
+        names, context = [], int(self.context[node])
+        while context >= 0:
+            names.append(self.hierarchy.subtasks[self.contexts.task[context]].name)
+            context = int(self.contexts.parent[context])
+        called = f" (called by {' < '.join(names[1:])})" if names[1:] else ""
+        return f"subtask {names[0]!r}{called} in state {self.state[node]}"
+
+    def spread(self, rows: np.ndarray) -> np.ndarray:
+        """Values of rows as ``[C, S, K]``; NaN where a child cannot be invoked."""
+        table = np.full(self.shape, np.nan)
+        table[self.context[self.row_node], self.state[self.row_node], self.row_slot] = rows
+        return table
+
+    def spread_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Values of nodes as ``[C, S]``; NaN where a context cannot have control."""
+        return np.where(self.node >= 0, np.append(values, np.nan)[self.node], np.nan)
+
+    def weights(self, policy: np.ndarray) -> np.ndarray:
+        """Probabilities of rows ``[R]`` of a hierarchical policy.
+
+        Args:
+            policy: slots of children ``[., S]`` (int), or probabilities of slots ``[., S, K]``; by
+                subtask (one policy for all callers), or by context, which is meant where the
+                numbers of both are equal.
+
+        Raises:
+            ValueError: the shape does not fit, or a subtask's probabilities over the children that
+                it may invoke in a state do not sum to one. The message names the subtask.
+        """
+        policy = np.asarray(policy)
+        num_tasks, (num_contexts, num_states, width) = len(self.hierarchy.subtasks), self.shape
+        slots = policy.ndim == 2 and np.issubdtype(policy.dtype, np.integer)
+        if policy.shape[1:] != ((num_states,) if slots else (num_states, width)):
+            expected = f"[., {num_states}] of ints or [., {num_states}, {width}]"
+            raise ValueError(f"policy must have shape {expected}, got {policy.shape} of {policy.dtype}")
+        if len(policy) not in (num_tasks, num_contexts):
+            raise ValueError(f"policy has {len(policy)} rows; allowed are {num_tasks} subtasks or {num_contexts} stacks")
+        owner = np.arange(num_contexts) if len(policy) == num_contexts else self.contexts.task
+        at = owner[self.context[self.row_node]], self.state[self.row_node]
+        found = (policy[at] == self.row_slot).astype(np.float64) if slots else policy[(*at, self.row_slot)]
+        total = self.sums(found)
+        if found.min() < 0 or not np.allclose(total, 1, rtol=0, atol=1e-9):
+            worst = self.where(int(np.argmax(np.abs(total - 1))))
+            raise ValueError(f"policy: probabilities of the children that may be invoked do not sum to one: {worst}")
+        return found
+
+    def uniform(self) -> np.ndarray:
+        """Probabilities of rows ``[R]``: every child that may be invoked is equally likely."""
+        return (1 / self.sums(np.ones(len(self.row_node))))[self.row_node]
+
+    def sums(self, rows: np.ndarray) -> np.ndarray:
+        """``[N]``: sums of rows over the children of each node."""
+        return np.add.reduceat(rows, self.first_row)
+
+    def maxima(self, rows: np.ndarray) -> np.ndarray:
+        """``[N]``: greatest of the rows of each node."""
+        return np.maximum.reduceat(rows, self.first_row)
+
+    def chain(self, weights: np.ndarray) -> sparse.csr_array:
+        """``[N, N]``: discounted probabilities from node to node under probabilities of rows."""
+        rows = np.arange(len(self.row_node))
+        choice = sparse.csr_array((weights, (self.row_node, rows)), shape=(self.num_nodes, len(rows)))
+        return sparse.csr_array(choice @ self.follows)
+
+    def require_an_end(self, weights: np.ndarray) -> None:
+        """Without discounting, checks that every node can reach an end (of the episode or the top).
+
+        Raises:
+            ValueError: one cannot; the message names the subtask and the state.
+        """
+        if self.discount < 1:
+            return
+        chain = self.chain(weights)
+        reaches = self.sums(weights * self.ends) > 0
+        while True:
+            further = reaches | (chain @ reaches.astype(np.float64) > 0)
+            if further.all():
+                return
+            if np.array_equal(further, reaches):
+                stuck = self.where(int(np.flatnonzero(~reaches)[0]))
+                raise ValueError(f"with discount 1 the episode must be able to end: it cannot from {stuck}")
+            reaches = further
+
+
+class Totals:
+    """Expected totals of a Markov chain until it leaves a set of nodes."""
+
+    def __init__(self, chain: sparse.csr_array, inside: np.ndarray):
+        self.inside = np.flatnonzero(inside)
+        self.outside = np.flatnonzero(~inside)
+        rows = chain[self.inside]
+        self._to_outside = rows[:, self.outside]
+        self._solver = splu(sparse.csc_array(sparse.eye_array(len(self.inside)) - rows[:, self.inside]))
+
+    def of(self, gains: np.ndarray) -> np.ndarray:
+        """``[N]``: total of what each visited node inside gives; 0 outside."""
+        found = np.zeros(len(gains))
+        found[self.inside] = self._solver.solve(gains[self.inside])
+        return found
+
+    def on_leaving(self, payoff: np.ndarray) -> np.ndarray:
+        """``[N]``: discounted payoff of the first node outside; 0 for nodes outside."""
+        gains = np.zeros(len(payoff))
+        gains[self.inside] = self._to_outside @ payoff[self.outside]
+        return self.of(gains)
+
+
+def joint_process(
+    hierarchy: Hierarchy,
+    active: np.ndarray,
+    model: Model,
+    *,
+    discount: float = 1.0,
+    goal: np.ndarray | None = None,
+    top: str | None = None,
+    termination: Termination = "immediate",
+) -> JointProcess:
+    """Joins a hierarchy and a model.
+
+    Args:
+        hierarchy: the task graph.
+        active: ``[tasks, S]`` bool, subtasks in the hierarchy's order: where each goes on and can
+            be invoked.
+        model: the decision process.
+        discount: in [0, 1], of every primitive step.
+        goal: ``[tasks, S]`` factors of pseudo-rewards in terminal states; nowhere if None. Only the
+            top's count.
+        top: the subtask to start from, alone on the stack; the root if None. Where it terminates,
+            the process ends.
+        termination: ``"immediate"``: a subtask that enters a terminal state ends at once, with all
+            that it has called (thesis 2.5.1; Dietterich 2000, Table 1). ``"on_return"``: a subtask's
+            end is noticed when it has control again.
+
+    Raises:
+        ValueError: an argument does not fit, or a subtask that can have control has no child to
+            invoke. The message names the subtask and the state.
+    """
+    num_tasks, num_states = len(hierarchy.subtasks), model.num_states
+    active = np.asarray(active, np.bool_)
+    if active.shape != (num_tasks, num_states):
+        raise ValueError(f"active must have shape {(num_tasks, num_states)} (subtasks, states), got {active.shape}")
+    if model.num_actions != len(hierarchy.actions):
+        raise ValueError(f"the hierarchy is over {len(hierarchy.actions)} actions, the model has {model.num_actions}")
+    if not 0 <= discount <= 1:
+        raise ValueError(f"discount must be in [0, 1], got {discount!r}")
+    if termination not in ("immediate", "on_return"):
+        raise ValueError(f"termination must be 'immediate' or 'on_return', got {termination!r}")
+    stacks = contexts(hierarchy, top)
+    live, resumed = _control(stacks, active, termination)
+    node = np.where(live, np.cumsum(live).reshape(live.shape) - 1, -1)
+    num_nodes = int(live.sum())
+    if not num_nodes:
+        raise ValueError(f"subtask {hierarchy.subtasks[stacks.task[0]].name!r} is terminated in every state")
+
+    tops = stacks.task[0]
+    paid = np.zeros(num_states) if goal is None else np.where(active[tops], 0.0, np.asarray(goal)[tops])
+    expected = (model.probability * model.reward).sum(-1)
+    goes_on = (model.probability > 0) & ~model.terminated
+    rows: list[tuple[np.ndarray, ...]] = []  # node, slot, reward, goal, ends, leaves
+    entries: list[tuple[np.ndarray, ...]] = []  # row key, node that follows, probability
+    width = stacks.called.shape[1]
+    for number, task in enumerate(stacks.task):
+        for slot, child in enumerate(hierarchy.subtasks[task].children):
+            called = stacks.called[number, slot]
+            states = np.flatnonzero(live[number] & (live[called] if called >= 0 else True))
+            at, nothing = node[number, states], np.zeros(len(states))
+            if called >= 0:
+                rows.append((at, nothing + slot, nothing, nothing, nothing, nothing))
+                entries.append((at * width + slot, node[called, states], nothing + 1))
+                continue
+            action = hierarchy.actions.index(child)
+            after, chance = model.next_state[states, action], model.probability[states, action]
+            control = np.where(goes_on[states, action], resumed[number][after], -2)  # -2: the episode ended
+            over, left = (np.where(control < 0, chance, 0).sum(-1), np.where(control == -1, chance, 0).sum(-1))
+            rows.append((at, nothing + slot, expected[states, action], (chance * paid[after]).sum(-1), over, left))
+            key = np.broadcast_to((at * width + slot)[:, None], after.shape)
+            kept = control >= 0
+            entries.append((key[kept], node[control[kept], after[kept]], discount * chance[kept]))
+
+    row_node, row_slot, reward, goals, ends, leaves = (np.concatenate(column) for column in zip(*rows, strict=True))
+    order = np.lexsort((row_slot, row_node))
+    row_node, row_slot = row_node[order], row_slot[order].astype(np.int64)
+    key, follows, weight = (np.concatenate(column) for column in zip(*entries, strict=True))
+    row = np.searchsorted(row_node * width + row_slot, key)
+    context, state = np.nonzero(live)
+    process = JointProcess(
+        hierarchy=hierarchy,
+        contexts=stacks,
+        node=node,
+        context=context,
+        state=state,
+        row_node=row_node,
+        row_slot=row_slot,
+        reward=reward[order],
+        goal=goals[order],
+        ends=ends[order],
+        leaves=leaves[order],
+        follows=sparse.csr_array((weight, (row, follows)), shape=(len(row_node), num_nodes)),
+        discount=float(discount),
+    )
+    childless = np.bincount(row_node, minlength=num_nodes) == 0
+    if childless.any():
+        raise ValueError(f"{process.where(int(np.argmax(childless)))} has no child to invoke")
+    return process
+
+
+def _control(stacks: Contexts, active: np.ndarray, termination: Termination) -> tuple[np.ndarray, np.ndarray]:
+    """Where each context can have control ``[C, S]``, and which one has it after a step ``[C, S]``.
+
+    A step's control goes to -1 where the top has terminated.
+    """
+    live = np.zeros((stacks.count, active.shape[1]), np.bool_)
+    resumed = np.zeros(live.shape, np.int64)
+    for number, (task, parent) in enumerate(zip(stacks.task, stacks.parent, strict=True)):
+        interrupted = termination == "immediate" and parent >= 0
+        live[number] = active[task] & live[parent] if interrupted else active[task]
+        resumed[number] = np.where(live[number], number, resumed[parent] if parent >= 0 else -1)
+    return live, resumed
