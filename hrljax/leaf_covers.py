@@ -23,11 +23,11 @@ class Inaccessible(NamedTuple):
     subtask: str
     action: str
     state: int  # an example
-    count: int  # in how many active states
+    num_states: int  # in how many active states
 
     def __str__(self) -> str:
         return (
-            f"subtask {self.subtask!r} cannot execute {self.action!r} in {self.count} of its active states, "
+            f"subtask {self.subtask!r} cannot execute {self.action!r} in {self.num_states} of its active states, "
             f"for example in state {self.state}"
         )
 
@@ -64,7 +64,7 @@ def total_leaf_cover(
         has: frozenset[str] = frozenset(completed[name].children) if direct else completed.reachable_actions(name)
         partly: set[str] = set()
         if active is not None:
-            partly = {gap.action for gap in inaccessible(completed, active, completed.leaf_cover()) if gap.subtask == name}
+            partly = {gap.action for gap in inaccessible(completed, active, names) if gap.subtask == name}
         missing = tuple(action for action in hierarchy.actions if action not in has or action in partly)
         if missing:
             added[name] = missing
@@ -146,8 +146,5 @@ def _checked(hierarchy: Hierarchy, cover: Iterable[str] | None) -> tuple[str, ..
 
 
 def _with_children(hierarchy: Hierarchy, name: str, more: tuple[str, ...]) -> Hierarchy:
-    own = {task.name: tuple(child for child in more if child not in task.children) for task in hierarchy.subtasks}
-    return Hierarchy(
-        hierarchy.actions,
-        (replace(t, children=t.children + own[t.name]) if t.name == name else t for t in hierarchy.subtasks),
-    )
+    tasks = (replace(t, children=t.children + more) if t.name == name else t for t in hierarchy.subtasks)
+    return Hierarchy(hierarchy.actions, tasks)

@@ -9,14 +9,15 @@ any number of callers, where a value by (subtask, state) would depend on who cal
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from hrljax.hierarchy import Hierarchy
 from hrljax.solvers.model import Model
+
+if TYPE_CHECKING:  # takes longer to import than the rest of the library: functions import it
+    from scipy import sparse
 
 MAX_CONTEXTS = 4096
 Termination = Literal["immediate", "on_return"]
@@ -30,14 +31,14 @@ class Contexts(NamedTuple):
     called: np.ndarray  # [C, K] int: the context of the child in each slot; -1 for actions and empty slots
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         return len(self.task)
 
     def under(self, context: int) -> np.ndarray:
         """``[C]`` bool: the context and everything that it calls, directly or not."""
-        inside = np.zeros(self.count, np.bool_)
+        inside = np.zeros(self.size, np.bool_)
         inside[context] = True
-        for later in range(context + 1, self.count):
+        for later in range(context + 1, self.size):
             inside[later] = self.parent[later] >= 0 and inside[self.parent[later]]
         return inside
 
@@ -79,7 +80,7 @@ class JointProcess:
     goal: np.ndarray  # [R] expected factor of the top's pseudo-reward, paid with the reward of the step
     ends: np.ndarray  # [R] probability that the step ends the episode or the top
     leaves: np.ndarray  # [R] probability that the step ends the top but not the episode
-    follows: sparse.csr_array  # [R, N] discounted probability of the node that decides next
+    follows: "sparse.csr_array"  # [R, N] discounted probability of the node that decides next
     discount: float
 
     @property
@@ -115,27 +116,26 @@ class JointProcess:
         """Values of nodes as ``[C, S]``; NaN where a context cannot have control."""
         return np.where(self.node >= 0, np.append(values, np.nan)[self.node], np.nan)
 
-    def weights(self, policy: np.ndarray) -> np.ndarray:
+    def weights(self, policy: np.ndarray, by: Literal["subtask", "stack"] = "subtask") -> np.ndarray:
         """Probabilities of rows ``[R]`` of a hierarchical policy.
 
         Args:
-            policy: slots of children ``[., S]`` (int), or probabilities of slots ``[., S, K]``; by
-                subtask (one policy for all callers), or by context, which is meant where the
-                numbers of both are equal.
+            policy: slots of children ``[., S]`` (int), or probabilities of slots ``[., S, K]``; the
+                first axis counts subtasks or contexts.
+            by: ``"subtask"``: one policy for all callers (Definition 4). ``"stack"``: by context.
 
         Raises:
             ValueError: the shape does not fit, or a subtask's probabilities over the children that
                 it may invoke in a state do not sum to one. The message names the subtask.
         """
         policy = np.asarray(policy)
-        num_tasks, (num_contexts, num_states, width) = len(self.hierarchy.subtasks), self.shape
+        owner = {"subtask": self.contexts.task, "stack": np.arange(self.contexts.size)}[by]
+        num_owners = {"subtask": len(self.hierarchy.subtasks), "stack": self.contexts.size}[by]
+        _, num_states, width = self.shape
         slots = policy.ndim == 2 and np.issubdtype(policy.dtype, np.integer)
-        if policy.shape[1:] != ((num_states,) if slots else (num_states, width)):
-            expected = f"[., {num_states}] of ints or [., {num_states}, {width}]"
-            raise ValueError(f"policy must have shape {expected}, got {policy.shape} of {policy.dtype}")
-        if len(policy) not in (num_tasks, num_contexts):
-            raise ValueError(f"policy has {len(policy)} rows; allowed are {num_tasks} subtasks or {num_contexts} stacks")
-        owner = np.arange(num_contexts) if len(policy) == num_contexts else self.contexts.task
+        if policy.shape != ((num_owners, num_states) if slots else (num_owners, num_states, width)):
+            expected = f"{(num_owners, num_states)} of ints or {(num_owners, num_states, width)}"
+            raise ValueError(f"policy by {by} must have shape {expected}, got {policy.shape} of {policy.dtype}")
         at = owner[self.context[self.row_node]], self.state[self.row_node]
         found = (policy[at] == self.row_slot).astype(np.float64) if slots else policy[(*at, self.row_slot)]
         total = self.sums(found)
@@ -156,8 +156,10 @@ class JointProcess:
         """``[N]``: greatest of the rows of each node."""
         return np.maximum.reduceat(rows, self.first_row)
 
-    def chain(self, weights: np.ndarray) -> sparse.csr_array:
+    def chain(self, weights: np.ndarray) -> "sparse.csr_array":
         """``[N, N]``: discounted probabilities from node to node under probabilities of rows."""
+        from scipy import sparse
+
         rows = np.arange(len(self.row_node))
         choice = sparse.csr_array((weights, (self.row_node, rows)), shape=(self.num_nodes, len(rows)))
         return sparse.csr_array(choice @ self.follows)
@@ -185,7 +187,10 @@ class JointProcess:
 class Totals:
     """Expected totals of a Markov chain until it leaves a set of nodes."""
 
-    def __init__(self, chain: sparse.csr_array, inside: np.ndarray):
+    def __init__(self, chain: "sparse.csr_array", inside: np.ndarray):
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
+
         self.inside = np.flatnonzero(inside)
         self.outside = np.flatnonzero(~inside)
         rows = chain[self.inside]
@@ -235,6 +240,8 @@ def joint_process(
         ValueError: an argument does not fit, or a subtask that can have control has no child to
             invoke. The message names the subtask and the state.
     """
+    from scipy import sparse
+
     num_tasks, num_states = len(hierarchy.subtasks), model.num_states
     active = np.asarray(active, np.bool_)
     if active.shape != (num_tasks, num_states):
@@ -309,7 +316,7 @@ def _control(stacks: Contexts, active: np.ndarray, termination: Termination) -> 
 
     A step's control goes to -1 where the top has terminated.
     """
-    live = np.zeros((stacks.count, active.shape[1]), np.bool_)
+    live = np.zeros((stacks.size, active.shape[1]), np.bool_)
     resumed = np.zeros(live.shape, np.int64)
     for number, (task, parent) in enumerate(zip(stacks.task, stacks.parent, strict=True)):
         interrupted = termination == "immediate" and parent >= 0
