@@ -242,53 +242,32 @@ def joint_process(
     """
     from scipy import sparse
 
-    num_tasks, num_states = len(hierarchy.subtasks), model.num_states
     active = np.asarray(active, np.bool_)
-    if active.shape != (num_tasks, num_states):
-        raise ValueError(f"active must have shape {(num_tasks, num_states)} (subtasks, states), got {active.shape}")
-    if model.num_actions != len(hierarchy.actions):
-        raise ValueError(f"the hierarchy is over {len(hierarchy.actions)} actions, the model has {model.num_actions}")
-    if not 0 <= discount <= 1:
-        raise ValueError(f"discount must be in [0, 1], got {discount!r}")
-    if termination not in ("immediate", "on_return"):
-        raise ValueError(f"termination must be 'immediate' or 'on_return', got {termination!r}")
+    _check(hierarchy, active, model, discount, termination)
     stacks = contexts(hierarchy, top)
     live, resumed = _control(stacks, active, termination)
-    node = np.where(live, np.cumsum(live).reshape(live.shape) - 1, -1)
-    num_nodes = int(live.sum())
-    if not num_nodes:
+    if not live.any():
         raise ValueError(f"subtask {hierarchy.subtasks[stacks.task[0]].name!r} is terminated in every state")
+    node = np.where(live, np.cumsum(live).reshape(live.shape) - 1, -1)
+    top_task = stacks.task[0]
+    paid = np.zeros(model.num_states) if goal is None else np.where(active[top_task], 0.0, np.asarray(goal)[top_task])
 
-    tops = stacks.task[0]
-    paid = np.zeros(num_states) if goal is None else np.where(active[tops], 0.0, np.asarray(goal)[tops])
-    expected = (model.probability * model.reward).sum(-1)
-    goes_on = (model.probability > 0) & ~model.terminated
-    rows: list[tuple[np.ndarray, ...]] = []  # node, slot, reward, goal, ends, leaves
-    entries: list[tuple[np.ndarray, ...]] = []  # row key, node that follows, probability
-    width = stacks.called.shape[1]
+    blocks: list[_Rows] = []
     for number, task in enumerate(stacks.task):
         for slot, child in enumerate(hierarchy.subtasks[task].children):
-            called = stacks.called[number, slot]
-            states = np.flatnonzero(live[number] & (live[called] if called >= 0 else True))
-            at, nothing = node[number, states], np.zeros(len(states))
+            called = int(stacks.called[number, slot])
             if called >= 0:
-                rows.append((at, nothing + slot, nothing, nothing, nothing, nothing))
-                entries.append((at * width + slot, node[called, states], nothing + 1))
-                continue
-            action = hierarchy.actions.index(child)
-            after, chance = model.next_state[states, action], model.probability[states, action]
-            control = np.where(goes_on[states, action], resumed[number][after], -2)  # -2: the episode ended
-            over, left = (np.where(control < 0, chance, 0).sum(-1), np.where(control == -1, chance, 0).sum(-1))
-            rows.append((at, nothing + slot, expected[states, action], (chance * paid[after]).sum(-1), over, left))
-            key = np.broadcast_to((at * width + slot)[:, None], after.shape)
-            kept = control >= 0
-            entries.append((key[kept], node[control[kept], after[kept]], discount * chance[kept]))
-
-    row_node, row_slot, reward, goals, ends, leaves = (np.concatenate(column) for column in zip(*rows, strict=True))
-    order = np.lexsort((row_slot, row_node))
-    row_node, row_slot = row_node[order], row_slot[order].astype(np.int64)
-    key, follows, weight = (np.concatenate(column) for column in zip(*entries, strict=True))
-    row = np.searchsorted(row_node * width + row_slot, key)
+                states = np.flatnonzero(live[number] & live[called])
+                blocks.append(_invoking(node[number, states], slot, node[called, states]))
+            else:
+                states, action = np.flatnonzero(live[number]), hierarchy.actions.index(child)
+                outcomes = Model(*(table[states, action] for table in model))
+                blocks.append(_stepping(node[number, states], slot, outcomes, resumed[number], node, paid, discount))
+    offsets = np.cumsum([0, *(len(block.node) for block in blocks)])
+    origin = np.concatenate([block.origin + offset for block, offset in zip(blocks, offsets, strict=False)])
+    joined = _Rows(*map(np.concatenate, zip(*blocks, strict=True)))
+    order = np.lexsort((joined.slot, joined.node))
+    rank = np.argsort(order)
     context, state = np.nonzero(live)
     process = JointProcess(
         hierarchy=hierarchy,
@@ -296,19 +275,77 @@ def joint_process(
         node=node,
         context=context,
         state=state,
-        row_node=row_node,
-        row_slot=row_slot,
-        reward=reward[order],
-        goal=goals[order],
-        ends=ends[order],
-        leaves=leaves[order],
-        follows=sparse.csr_array((weight, (row, follows)), shape=(len(row_node), num_nodes)),
+        row_node=joined.node[order],
+        row_slot=joined.slot[order],
+        reward=joined.reward[order],
+        goal=joined.goal[order],
+        ends=joined.ends[order],
+        leaves=joined.leaves[order],
+        follows=sparse.csr_array((joined.weight, (rank[origin], joined.follows)), shape=(len(order), len(state))),
         discount=float(discount),
     )
-    childless = np.bincount(row_node, minlength=num_nodes) == 0
+    childless = np.bincount(process.row_node, minlength=len(state)) == 0
     if childless.any():
         raise ValueError(f"{process.where(int(np.argmax(childless)))} has no child to invoke")
     return process
+
+
+def _check(hierarchy: Hierarchy, active: np.ndarray, model: Model, discount: float, termination: Termination) -> None:
+    expected = len(hierarchy.subtasks), model.num_states
+    if active.shape != expected:
+        raise ValueError(f"active must have shape {expected} (subtasks, states), got {active.shape}")
+    if model.num_actions != len(hierarchy.actions):
+        raise ValueError(f"the hierarchy is over {len(hierarchy.actions)} actions, the model has {model.num_actions}")
+    if not 0 <= discount <= 1:
+        raise ValueError(f"discount must be in [0, 1], got {discount!r}")
+    if termination not in ("immediate", "on_return"):
+        raise ValueError(f"termination must be 'immediate' or 'on_return', got {termination!r}")
+
+
+class _Rows(NamedTuple):
+    """Rows of one child in one context, in the fields of `JointProcess`, and the entries of `follows`."""
+
+    node: np.ndarray
+    slot: np.ndarray
+    reward: np.ndarray
+    goal: np.ndarray
+    ends: np.ndarray
+    leaves: np.ndarray
+    origin: np.ndarray  # [entries] which of these rows
+    follows: np.ndarray  # [entries]
+    weight: np.ndarray  # [entries]
+
+
+def _invoking(node: np.ndarray, slot: int, follows: np.ndarray) -> _Rows:
+    nothing = np.zeros(len(node))
+    slots = np.full(len(node), slot)
+    return _Rows(node, slots, nothing, nothing, nothing, nothing, np.arange(len(node)), follows, nothing + 1)
+
+
+def _stepping(
+    node: np.ndarray,
+    slot: int,
+    outcomes: Model,  # [n, K] each
+    resumed: np.ndarray,
+    nodes: np.ndarray,
+    paid: np.ndarray,
+    discount: float,
+) -> _Rows:
+    after, chance = outcomes.next_state, outcomes.probability
+    control, goes_on = resumed[after], ~outcomes.terminated & (chance > 0)
+    origin, outcome = np.nonzero(goes_on & (control >= 0))
+    kept = origin, outcome
+    return _Rows(
+        node=node,
+        slot=np.full(len(node), slot),
+        reward=(chance * outcomes.reward).sum(-1),
+        goal=(chance * paid[after]).sum(-1),
+        ends=np.where(goes_on & (control >= 0), 0.0, chance).sum(-1),
+        leaves=np.where(goes_on & (control < 0), chance, 0.0).sum(-1),
+        origin=origin,
+        follows=nodes[control[kept], after[kept]],
+        weight=discount * chance[kept],
+    )
 
 
 def _control(stacks: Contexts, active: np.ndarray, termination: Termination) -> tuple[np.ndarray, np.ndarray]:
