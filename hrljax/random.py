@@ -132,3 +132,16 @@ def threshold(probability: Array | float) -> Array | np.uint32:
 def uniform_index(word: Array, n: Array) -> Array:
     """A uniform index in ``[0, n)``, int32, from one word; `n` (int32) is at most 255."""
     return ((word * n.astype(jnp.uint32)) >> np.uint32(WORD_BITS)).astype(jnp.int32)
+
+
+def uniform_cuts(n: int) -> tuple[float, ...]:
+    """The probabilities at which the meaning of a word changes for ``uniform_index(word, n)``, exactly."""
+    return tuple(math.ceil(i * WORD_RANGE / n) / WORD_RANGE for i in range(1, n))
+
+
+def count_below(word: Array, cuts: tuple[Array | float, ...]) -> Array:
+    """How many of the probabilities `cuts` lie above the word (int32)."""
+    count = jnp.int32(0)
+    for cut in cuts:
+        count += below(word, cut).astype(jnp.int32)
+    return count

@@ -7,6 +7,7 @@ deterministic in explicit random words (`hrljax.random`): a training loop feeds 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, TypeVar
 
 import gymnasium
@@ -49,6 +50,14 @@ def concrete_params(params: Any) -> Any:
                 raise ValueError(f"env.{name} must be a finite number in [{low:g}, {high:g}], got {value!r}")
             checked[name] = np.float32(value)
     return params._replace(**checked)
+
+
+def check_options(env: object, options: Mapping[str, tuple[Any, ...]]) -> None:
+    """Raises ValueError unless each attribute of `env` that `options` names has one of its values."""
+    for option, allowed in options.items():
+        value = getattr(env, option)
+        if value not in allowed:
+            raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
 
 
 class Environment(ABC, Generic[State, Params]):

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import TabularEnvironment, check_options
 from hrljax.envs.bus_map import KAO_V1, BusMap, parse
 from hrljax.hierarchy import Abstraction, Hierarchy, Subtask
 from hrljax.numerics import take
-from hrljax.random import below, uniform_index
+from hrljax.random import below, count_below, uniform_cuts, uniform_index
 
 _OPTIONS = {
     "site": ("edge", "cell"),
@@ -78,10 +78,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
     num_initial_words = 1
 
     def __post_init__(self) -> None:
-        for option, allowed in _OPTIONS.items():
-            value = getattr(self, option)
-            if value not in allowed:
-                raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+        check_options(self, _OPTIONS)
         layout = self.layout
         for what, count, most in (
             ("cells", layout.num_cells, 4096),
@@ -161,8 +158,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
         return BusState(cell=jnp.int32(self.layout.start), damaged=zero, picked=zero, road=road, time=zero)
 
     def initial_word_cuts(self, params: BusParams) -> tuple[tuple[float, ...], ...]:
-        statuses = self.num_sites + 1
-        return (tuple(i / statuses for i in range(1, statuses)),)
+        return (uniform_cuts(self.num_sites + 1),)
 
     def word_cuts(self, params: BusParams) -> tuple[tuple[float, ...], ...]:
         damage, breakdown = params.damage_probability, params.breakdown_probability
@@ -180,7 +176,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
         self, state: BusState, action: Array, words: tuple[Array, ...], params: BusParams
     ) -> tuple[BusState, Array, Array, dict[str, Array]]:
         slip_word, mishap_word, road_word = words
-        direction = (action + _count_below(slip_word, self._slip_cuts(params))) & 3
+        direction = (action + count_below(slip_word, self._slip_cuts(params))) & 3
         move = take(jnp.asarray(self._moves), state.cell * 4 + direction)
         cell, site = move & 0xFFF, (move >> 12) & 0xF
         picked = state.picked | (move >> 16)
@@ -195,7 +191,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
             cell = lax.select(broke, state.cell, cell)
             picked = lax.select(broke, state.picked, picked)
 
-        road = state.road + _count_below(road_word, self._road_cuts(params))
+        road = state.road + count_below(road_word, self._road_cuts(params))
         road = lax.select(road > self.num_sites, road - (self.num_sites + 1), road)
         delivered = (picked == (1 << len(self.layout.passengers)) - 1) & (cell == self.layout.start)
         after = BusState(cell, state.damaged | hit.astype(jnp.int32), picked, road, state.time + 1)
@@ -233,11 +229,3 @@ def _bus_hierarchy(env: Bus) -> Hierarchy:
     moves = [move_to(target) for target in range(len(layout.area_names))]
     root = Subtask("Root", tuple(m.name for m in moves), lambda state: jnp.bool_(False), abstraction=abstraction)
     return Hierarchy(env.action_names, [root, *moves])
-
-
-def _count_below(word: Array, cuts: tuple[float, ...]) -> Array:
-    """How many of the probabilities `cuts` lie above the word (int32)."""
-    count = jnp.int32(0)
-    for cut in cuts:
-        count += below(word, cut).astype(jnp.int32)
-    return count

@@ -1,9 +1,12 @@
 """Maps of the Bus domain, read from text."""
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+
+from hrljax.envs.ascii_map import MOVES, WALL, MapError, neighbours, reached, read_boxes, read_edges
+
+__all__ = ["KAO_V1", "MOVES", "BusMap", "MapError", "parse"]
 
 KAO_V1 = """\
 +---+---+---+---+---+---+
@@ -21,17 +24,6 @@ KAO_V1 = """\
 +---+---+---+---+---+---+
 """
 """The 6 x 6 map of six areas that the experiments use."""
-
-_FREE, _WALL = 0, -1
-MOVES = ((-1, 0), (0, 1), (1, 0), (0, -1))
-"""(row, column) steps of the actions north, east, south, west."""
-
-
-class MapError(ValueError):
-    """A map that cannot be read; the message names the line and the column, counted from 1."""
-
-    def __init__(self, line: int, column: int, problem: str):
-        super().__init__(f"map, row {line + 1}, column {column + 1}: {problem}")
 
 
 class BusMap(NamedTuple):
@@ -67,26 +59,22 @@ class BusMap(NamedTuple):
 def parse(text: str) -> BusMap:
     """Reads a map.
 
-    Cells are three characters wide: a blank, the name of the cell's area (a digit or a small
-    letter) and ``S`` (start), ``P`` (passenger) or a blank. Between two cells stands a wall (``|``
-    or ``---``), a passage (blank) or a construction site (a capital letter). Corners are ``+`` or
-    blank; the border is wall.
+    The map is boxed (`hrljax.envs.ascii_map`). A cell is a blank, the name of the cell's area (a
+    digit or a small letter) and ``S`` (start), ``P`` (passenger) or a blank. A capital letter
+    between two cells is a construction site.
 
     Raises:
         MapError: with the row and column of the first thing that is wrong.
     """
-    lines = [line.rstrip() for line in text.splitlines()]
-    while lines and not lines[-1]:
-        lines.pop()
-    height, width = _size(lines)
+    boxes = read_boxes(text)
+    height, width = boxes.height, boxes.width
     area_names: list[str] = []
-    site_names: list[str] = []
     area = np.zeros(height * width, np.int32)
     passengers: list[int] = []
     starts: list[int] = []
     for cell in range(height * width):
-        line, column = 2 * (cell // width) + 1, 4 * (cell % width) + 1
-        left, name, mark = lines[line][column : column + 3]
+        line, column = boxes.place(cell)
+        left, name, mark = boxes.cell(cell)
         if left != " ":
             raise MapError(line, column, f"unknown character {left!r}; a cell begins with a blank")
         if not (name.isascii() and (name.isdigit() or name.islower())):
@@ -107,72 +95,12 @@ def parse(text: str) -> BusMap:
     order = sorted(area_names)
     area = np.array([order.index(area_names[a]) for a in area], np.int32)
 
-    edge = np.full((height * width, 4), _WALL, np.int32)
-    for cell in range(height * width):
-        for move, (down, right) in enumerate(MOVES):
-            line, column = 2 * (cell // width) + 1 + down, 4 * (cell % width) + 2 + 2 * right
-            edge[cell, move] = _edge(lines, line, column, vertical=right != 0, names=site_names)
-            outside = not (0 <= cell // width + down < height and 0 <= cell % width + right < width)
-            if outside and edge[cell, move] != _WALL:
-                raise MapError(line, column, "an opening in the border; the border is wall")
-    sites = sorted(site_names)
-    renumber = np.array([0, *(sites.index(name) + 1 for name in site_names)], np.int32)
-    cells = np.arange(height * width, dtype=np.int32)
-    offsets = np.array([down * width + right for down, right in MOVES], np.int32)
-    neighbour = np.where(edge == _WALL, cells[:, None], cells[:, None] + offsets)
-    site = np.where(edge > 0, renumber[np.maximum(edge, 0)], 0).astype(np.int32)
-    bus_map = BusMap(
-        height, width, neighbour.astype(np.int32), site, area, tuple(passengers), starts[0], tuple(order), tuple(sites)
-    )
-    _check_reachable(bus_map)
-    return bus_map
-
-
-def _size(lines: list[str]) -> tuple[int, int]:
-    """Height and width in cells, after checking the shape, the corners and the ends of the lines."""
-    if len(lines) < 3 or len(lines) % 2 == 0:
-        raise MapError(max(len(lines) - 1, 0), 0, f"wrong size: {len(lines)} lines; a map of h rows has 2 h + 1")
-    length = len(lines[0])
-    if length < 5 or length % 4 != 1:
-        raise MapError(0, max(length - 1, 0), f"wrong size: {length} characters; a map of w columns has 4 w + 1")
-    for number, line in enumerate(lines):
-        if len(line) != length:
-            raise MapError(
-                number, min(len(line), length), f"wrong size: {len(line)} characters; the first line has {length}"
-            )
-        if number % 2 == 0:
-            for column in range(0, length, 4):
-                if line[column] not in "+ ":
-                    raise MapError(number, column, f"unknown character {line[column]!r}; a corner is + or blank")
-    return len(lines) // 2, length // 4
-
-
-def _edge(lines: list[str], line: int, column: int, vertical: bool, names: list[str]) -> int:
-    """What stands between two cells: a wall, a free passage, or the number of a site (from 1)."""
-    text = lines[line][column] if vertical else lines[line][column - 1 : column + 2]
-    if text == ("|" if vertical else "---"):
-        return _WALL
-    name = text.strip(" ")
-    if not name:
-        return _FREE
-    if len(name) > 1 or not (name.isascii() and name.isupper()) or (not vertical and text[1] != name):
-        allowed = "|, a blank or a capital letter" if vertical else "---, blanks or a capital letter in the middle"
-        at = column - (not vertical)
-        raise MapError(line, at, f"unknown characters {text!r}; between two cells stands {allowed}")
-    if name not in names:
-        names.append(name)
-    return names.index(name) + 1
-
-
-def _check_reachable(bus_map: BusMap) -> None:
-    seen = {bus_map.start}
-    queue = deque(seen)
-    while queue:
-        for cell in bus_map.neighbour[queue.popleft()].tolist():
-            if cell not in seen:
-                seen.add(cell)
-                queue.append(cell)
-    for cell in bus_map.passengers:
-        if cell not in seen:
-            row, column = divmod(cell, bus_map.width)
-            raise MapError(2 * row + 1, 4 * column + 3, "a passenger that cannot be reached from the start")
+    edge, site_names = read_edges(boxes)
+    neighbour, start = neighbours(edge == WALL, width), np.arange(height * width) == starts[0]
+    can_reach = reached(neighbour, start)
+    for cell in passengers:
+        if not can_reach[cell]:
+            line, column = boxes.place(cell)
+            raise MapError(line, column + 2, "a passenger that cannot be reached from the start")
+    site = np.maximum(edge, 0)
+    return BusMap(height, width, neighbour, site, area, tuple(passengers), starts[0], tuple(order), site_names)

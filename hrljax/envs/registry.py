@@ -5,6 +5,9 @@ from typing import Any
 
 from hrljax.envs.base import Environment
 from hrljax.envs.bus import Bus
+from hrljax.envs.gridworld import Gridworld
+from hrljax.envs.maze import Maze
+from hrljax.envs.taxi import Taxi
 
 _ENVIRONMENTS: dict[str, Callable[..., Environment[Any, Any]]] = {}
 
@@ -36,4 +39,5 @@ def make(name: str, **options: Any) -> Any:
     return _ENVIRONMENTS[name](**options)
 
 
-register("Bus", Bus)
+for _environment in (Bus, Gridworld, Maze, Taxi):
+    register(_environment.name, _environment)
