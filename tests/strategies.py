@@ -172,7 +172,7 @@ def random_problem(
         return tuple(names[i] for i in generator.permutation(len(names)))
 
     def some(names: list[str], least: int = 1) -> list[str]:
-        return list(generator.choice(names, generator.integers(least, len(names) + 1), replace=False))
+        return generator.choice(names, generator.integers(least, len(names) + 1), replace=False).tolist()
 
     def somewhere() -> np.ndarray:
         found = generator.random(num_states) < generator.uniform(0.3, 0.9)
