@@ -154,6 +154,22 @@ def test_uniform_index_gives_every_index_its_share(n: int):
     np.testing.assert_array_equal(index, np.tile(np.arange(n), (2, 1)))
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 25, 49, 255])
+def test_uniform_cuts_are_where_the_index_changes(n: int):
+    """To the word, which ``i / n`` misses for some n: rounded to float32, 13 / 25 lies below the change."""
+    cuts = random.uniform_cuts(n)
+    first = np.array([random.threshold(cut) for cut in cuts], np.uint32)
+    assert len(first) == n - 1
+    np.testing.assert_array_equal(uniform_indices(first, np.int32(n)), np.arange(1, n))
+    np.testing.assert_array_equal(uniform_indices(first - 1, np.int32(n)), np.arange(n - 1))
+
+
+def test_count_below_counts_cuts():
+    cuts, words = (0.5, 0.25, jnp.float32(0.75), 0.0, 1.0), (0, WORD_RANGE // 4, WORD_RANGE // 2, WORD_RANGE - 1)
+    assert [int(random.count_below(jnp.uint32(word), cuts)) for word in words] == [4, 3, 2, 1]
+    assert random.count_below(jnp.uint32(0), ()).dtype == jnp.int32
+
+
 def test_key_words_are_the_data_of_the_key():
     np.testing.assert_array_equal(jnp.stack(random.key_words(KEY)), jax.random.key_data(KEY))
 

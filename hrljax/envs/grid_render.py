@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from hrljax.envs.ascii_map import MOVES, text_lines
 from hrljax.envs.base import TabularEnvironment
 
-INK, FAINT, ALARM, VEHICLE, PASSENGER = "#222222", "#777777", "#CC3311", "#DDAA33", "#004488"
+INK, FAINT, ALARM, VEHICLE, PERSON = "#222222", "#777777", "#CC3311", "#DDAA33", "#004488"
 _REGION_COLOURS = ("#BBCCEE", "#CCDDAA", "#EEEEBB", "#FFCCCC", "#CCEEFF", "#DDDDDD")  # "pale" of Paul Tol
 _VALUE_COLOURS = ListedColormap(colormaps["YlGnBu_r"](np.linspace(0.45, 1.0, 256))).with_extremes(bad="#E4E4E4")
 
@@ -148,10 +148,10 @@ def draw_numbers(image: AxesImage, ground: Ground, values: np.ndarray, shown: np
     image.axes.figure.colorbar(image, cax=bar, label="expected return")
 
 
-def draw_disc(ax: Axes, x: float, y: float, label: str, colour: str = PASSENGER) -> None:
+def draw_disc(ax: Axes, x: float, y: float, label: str, radius: float = 0.26, layer: float = 3) -> None:
     """Draws somebody: a disc with a label."""
-    ax.add_patch(Circle((x, y), 0.26, facecolor=colour, edgecolor="white", zorder=3))
-    write(ax, x, y, label, 0.24, "white", weight="bold")
+    ax.add_patch(Circle((x, y), radius, facecolor=PERSON, edgecolor="white", zorder=layer))
+    write(ax, x, y, label, radius * 12 / 13, "white", weight="bold")
 
 
 def draw_vehicle(ax: Axes, x: float, y: float, colour: str = VEHICLE) -> None:

@@ -33,6 +33,8 @@ DEPOTS = "RGYB"
 ABOARD = 4
 """Where the passenger is, if in the taxi."""
 SIZE = 5
+DIRECTIONS = (2, 0, 1, 3, None, None)
+"""For each action the index of its move in `hrljax.envs.ascii_map.MOVES`."""
 
 _PICKUP, _PUTDOWN = 4, 5
 _OPTIONS = {"stochastic": (False, True), "fickle": (False, True), "rules": ("dietterich", "gymnasium")}
@@ -202,7 +204,7 @@ def taxi_layout() -> TaxiLayout:
 
 @cache
 def _move_table(rules: str) -> np.ndarray:
-    return move_table(taxi_layout().neighbour, (2, 0, 1, 3, None, None), blocked_moves_slip=rules == "dietterich")
+    return move_table(taxi_layout().neighbour, DIRECTIONS, blocked_moves_slip=rules == "dietterich")
 
 
 @cache
