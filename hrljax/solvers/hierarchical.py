@@ -31,6 +31,7 @@ class Criterion(NamedTuple):
     value: np.ndarray  # [S] expected return where the root decides; NaN where it cannot
     mean: float  # over the start distribution
     policy: np.ndarray  # [C, S] int slots of children by context; -1 where the context cannot have control
+    action: np.ndarray  # [S] int: the primitive action taken when the root decides; -1 where it cannot
 
 
 class Optima(NamedTuple):
@@ -137,7 +138,8 @@ def solve_hierarchy(
     def criterion(of: JointProcess, best: Optimum, free: bool = True) -> Criterion:
         value = of.spread_nodes(best.value)[0]
         mean = float(np.asarray(initial)[initial > 0] @ value[initial > 0])
-        return Criterion(value, mean, greedy(of, best, ties, np.full(of.contexts.size, free)))
+        policy = greedy(of, best, ties, np.full(of.contexts.size, free))
+        return Criterion(value, mean, policy, of.actions(policy)[0])
 
     return Optima(
         optimal=criterion(single, optimise(single, method=method)),

@@ -72,6 +72,37 @@ class JointProcess:
         """Values of nodes as ``[C, S]``; NaN where a context cannot have control."""
         return np.where(self.node >= 0, np.append(values, np.nan)[self.node], np.nan)
 
+    def by_subtask(self, values: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
+        """Values by context ``[C, S, ...]`` as values by subtask ``[tasks, S, ...]``, where that has a meaning.
+
+        The thesis writes Q(i, s, a) without the caller. It is defined where all callers of a subtask
+        give it the same value (within `tolerance`), as for the only caller, for Q_r of a subtask that
+        no caller interrupts, or for everything in Theorem 2's optimum; NaN elsewhere.
+        """
+        found = np.full((len(self.hierarchy.subtasks), *values.shape[1:]), np.nan)
+        for task in np.unique(self.contexts.task):
+            of_callers = values[self.contexts.task == task]
+            low = np.min(np.where(np.isnan(of_callers), np.inf, of_callers), axis=0)
+            high = np.max(np.where(np.isnan(of_callers), -np.inf, of_callers), axis=0)
+            agree = low + tolerance >= high  # also where no caller has a value: inf against -inf
+            found[task] = np.where(agree & np.isfinite(low), low, np.nan)
+        return found
+
+    def actions(self, slots: np.ndarray) -> np.ndarray:
+        """The primitive action that a choice of slots leads to at once, ``[C, S]`` int; -1 where there is none.
+
+        Args:
+            slots: ``[C, S]`` int, one child of every context in every state (`greedy`).
+        """
+        found = np.full(self.node.shape, -1)
+        for number in reversed(range(self.contexts.size)):  # the called before their callers
+            children = self.hierarchy.subtasks[self.contexts.task[number]].children
+            for slot, child in enumerate(children):
+                called = self.contexts.called[number, slot]
+                action = found[called] if called >= 0 else self.hierarchy.actions.index(child)
+                found[number] = np.where((slots[number] == slot) & (self.node[number] >= 0), action, found[number])
+        return found
+
     def weights(self, policy: np.ndarray, by: Literal["subtask", "stack"] = "subtask") -> np.ndarray:
         """Probabilities of rows ``[R]`` of a hierarchical policy.
 

@@ -30,7 +30,7 @@ def optimise(
     reward: np.ndarray | None = None,
     method: Method = "policy_iteration",
     tolerance: float = 1e-12,
-    max_sweeps: int = 1_000_000,
+    max_sweeps: int | None = None,
 ) -> Optimum:
     """The best values when some contexts choose freely and the others follow a given policy.
 
@@ -45,7 +45,7 @@ def optimise(
         reward: ``[R]``; the process's own if None.
         method: by exact evaluations and improvements, or by sweeps from zero.
         tolerance: sweeps stop when no value changes by more, relative to one plus the greatest.
-        max_sweeps: most sweeps or improvements.
+        max_sweeps: most sweeps or improvements; 1,000,000 or 1,000 if None.
 
     Raises:
         ValueError: an argument does not fit, or with discount 1 some node cannot reach an end.
@@ -62,8 +62,8 @@ def optimise(
     process.require_an_end(start)
 
     if method == "value_iteration":
-        return _by_sweeps(process, gains, start, chooses, tolerance, max_sweeps)
-    return _by_improvements(process, gains, start, chooses, max_sweeps)
+        return _by_sweeps(process, gains, start, chooses, tolerance, max_sweeps or 1_000_000)
+    return _by_improvements(process, gains, start, chooses, max_sweeps or 1000)
 
 
 def _by_sweeps(

@@ -64,6 +64,18 @@ def test_a_recursively_optimal_exit_of_the_maze_is_wrong_in_the_shaded_row(ties,
     np.testing.assert_allclose(loss[1:, 4:], 0, atol=1e-9)
 
 
+def test_the_shaded_row_of_the_maze_as_arrows():
+    """Figure 2.1 of the thesis: by the nearer door, or (optimally) always by the upper one."""
+    found = solved(Maze())
+    north, south, east = range(3)
+    left = found.recursive.action.reshape(7, 6)[:, :4]
+    np.testing.assert_array_equal(left[:, 0], [south, east, north, north, south, east, north])
+    np.testing.assert_array_equal(left[[1, 5], 3], [east, east])
+    assert found.hierarchical.action.reshape(7, 6)[4, 3] == north
+    np.testing.assert_array_equal(found.hierarchical.action, found.optimal.action)
+    assert found.optimal.action[5] == -1  # the goal
+
+
 def test_with_the_exits_worth_as_pseudo_rewards_the_recursive_maze_is_optimal():
     """Dietterich's -2 for the upper door and -6 for the lower one."""
     env = Maze()
@@ -318,6 +330,22 @@ def test_too_many_calling_stacks_are_refused():
     model = Model.from_dense(np.zeros((1, 1, 1)), np.zeros((1, 1)))
     with pytest.raises(ValueError, match="more than 4096 calling stacks"):
         joint_process(hierarchy, np.ones((14, 1), np.bool_), model)
+
+
+def test_values_by_subtask_are_those_that_all_callers_agree_on():
+    """Navigate's reward until it arrives is the same for Get and Put; what follows is not."""
+    env = Taxi()
+    hierarchy, tables = env.hierarchy(), tabulate(env.hierarchy(), env)
+    process = joint_process(hierarchy, tables.active, env.model(), discount=0.9)
+    values = decompose(process, process.uniform())
+    common = process.by_subtask(values.q)
+    np.testing.assert_array_equal(common[:3], values.q[:3])  # one caller each
+    named = process.hierarchy.index("Navigate(R)")
+    np.testing.assert_array_equal(common[named], np.fmax(values.q[3], values.q[7]))  # by one caller in each state
+    clash = values.q.copy()
+    clash[7] = values.q[3] + 1
+    assert np.isnan(process.by_subtask(clash)[named]).all()
+    np.testing.assert_array_equal(process.by_subtask(clash, tolerance=2.0)[named], values.q[3])
 
 
 def test_larger_random_problems_are_solved_in_the_same_way():

@@ -1,6 +1,6 @@
 """Theorem 2: with a total leaf cover, HORDQ's values are the optimal ones, whatever other subtasks do."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -23,9 +23,9 @@ class Learned(NamedTuple):
     loss: float  # greatest difference from the optimal values, over states and actions of the cover
 
 
-def learned(problem: Problem, policy: np.ndarray, method: Method = "policy_iteration") -> Learned:
+def learned(problem: Problem, policy: np.ndarray, method: Method = "policy_iteration", **options: Any) -> Learned:
     hierarchy = problem.hierarchy
-    process = joint_process(hierarchy, problem.active, problem.model, discount=problem.discount)
+    process = joint_process(hierarchy, problem.active, problem.model, discount=problem.discount, **options)
     in_cover = np.array([task.name in hierarchy.leaf_cover() for task in hierarchy.subtasks])
     free = in_cover[process.contexts.task]
     best = optimise(process, process.weights(policy), free, method=method)
@@ -81,6 +81,28 @@ def test_value_iteration_finds_them_too(levels: int):
         problem = sized_problem(generator, levels)._replace(discount=0.9)
         policy = random_policy(generator, problem, deterministic=number % 2 == 0)
         assert learned(problem, policy, "value_iteration").loss < TOLERANCE
+
+
+def test_it_makes_no_difference_when_a_termination_is_noticed():
+    generator = np.random.default_rng(9)
+    for levels in (2, 3, 3, 4):
+        problem = sized_problem(generator, levels)
+        policy = random_policy(generator, problem)
+        assert learned(problem, policy, termination="on_return").loss < TOLERANCE
+
+
+def test_the_optimal_values_of_a_subtask_do_not_depend_on_its_caller():
+    """So that Q(i, s, a) of the theorem is well defined for tables by subtask."""
+    generator = np.random.default_rng(5)
+    problem = random_problem(generator, 3, num_states=10)
+    found = learned(problem, random_policy(generator, problem))
+    assert found.process.contexts.size > len(problem.hierarchy.subtasks)
+    q = found.process.spread(found.best.q)
+    common = found.process.by_subtask(q)
+    for number, task in enumerate(problem.hierarchy.subtasks):
+        if task.name in problem.hierarchy.leaf_cover():
+            somewhere = ~np.isnan(q[found.process.contexts.task == number]).all(0)
+            assert np.isfinite(common[number])[somewhere].all()
 
 
 def test_the_parts_of_the_fixed_point_sum_to_the_optimal_values():
