@@ -320,15 +320,15 @@ def _stepping(
     discount: float,
 ) -> _Rows:
     after, chance = outcomes.next_state, outcomes.probability
-    control, goes_on = resumed[after], ~outcomes.terminated & (chance > 0)
-    origin, outcome = np.nonzero(goes_on & (control >= 0))
-    kept = origin, outcome
+    control, goes_on = resumed[after], ~outcomes.terminated
+    ended = np.where(goes_on & (control >= 0), 0.0, chance)
+    kept = origin, _ = np.nonzero(goes_on & (control >= 0) & (chance > 0))
     return _Rows(
         node=node,
         slot=np.full(len(node), slot),
         reward=(chance * outcomes.reward).sum(-1),
-        goal=(chance * paid[after]).sum(-1),
-        ends=np.where(goes_on & (control >= 0), 0.0, chance).sum(-1),
+        goal=(ended * paid[after]).sum(-1),
+        ends=ended.sum(-1),
         leaves=np.where(goes_on & (control < 0), chance, 0.0).sum(-1),
         origin=origin,
         follows=nodes[control[kept], after[kept]],

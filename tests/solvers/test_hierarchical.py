@@ -239,6 +239,27 @@ def test_a_pseudo_reward_stays_out_of_what_callers_see():
         assert found.recursive.mean == value
 
 
+@pytest.mark.parametrize(("termination", "by_child"), [("immediate", 1.0), ("on_return", 0.25)])
+def test_the_pseudo_reward_is_paid_once_when_the_subtask_ends_with_the_episode_or_without(termination, by_child):
+    """From state 0, Top or its child Leaf goes to 1, in 3/4 of cases; in 1/4 the episode ends in 1.
+
+    Top is terminated in 1, and its goal; Leaf goes on there. State 0 is a goal too, but not an end.
+    """
+    active = np.array([[1, 1], [1, 0], [1, 1]], np.bool_)
+    goal = np.array([[0, 0], [2, 1], [5, 5]], np.float32)
+    hierarchy = hierarchy_on(("go",), {"Root": ("Top", "Leaf"), "Top": ("go", "Leaf"), "Leaf": ("go",)}, active, goal)
+    follows = np.ones((2, 1, 2), np.int32)
+    probability = np.broadcast_to([0.75, 0.25], follows.shape)
+    model = Model(follows, probability, 0.0 * follows, np.broadcast_to([False, True], follows.shape))
+    process = joint_process(hierarchy, active, model, goal=goal, top="Top", termination=termination)
+    paid = process.spread(process.goal)
+    np.testing.assert_array_equal(paid[0, 0], [1.0, 0.0])  # go; Leaf, which takes no time
+    assert paid[1, 0, 0] == by_child
+    if termination == "on_return":  # Leaf still has control in state 1
+        assert paid[1, 1, 0] == 0.25
+    np.testing.assert_array_equal(process.spread(process.leaves)[0, 0], [0.75, 0.0])
+
+
 def corridor(reward: float) -> tuple[Hierarchy, Tables, Model]:
     """Five cells, an end at the right; every action costs nothing and the end pays."""
     active = np.ones((2, 5), np.bool_)
