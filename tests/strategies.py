@@ -44,14 +44,17 @@ class Problem(NamedTuple):
         return np.full(size, 1 / size)
 
     def optimal_q(self) -> np.ndarray:
-        """``[S, A]`` by plain value iteration."""
-        q = np.zeros(self.reward.shape)
-        while True:
-            value = np.append(q.max(-1), 0.0)  # ENDED reads the last
-            updated = self.reward + self.discount * value[self.outcomes].mean(-1)
-            if np.abs(updated - q).max() < 1e-13 * (1 + np.abs(q).max()):
-                return updated
-            q = updated
+        """``[S, A]`` float64: plain value iteration, then the exact values of the policy that it found."""
+        reward, states = self.reward.astype(np.float64), np.arange(len(self.outcomes))
+        q, updated = np.full(reward.shape, np.inf), np.zeros(reward.shape)
+        while np.abs(updated - q).max() > 1e-10:
+            q, updated = updated, self._backup(reward, updated.max(-1))
+        best = q.argmax(-1)
+        chain = (self.outcomes[states, best][:, :, None] == states).mean(1)
+        return self._backup(reward, np.linalg.solve(np.eye(len(states)) - self.discount * chain, reward[states, best]))
+
+    def _backup(self, reward: np.ndarray, value: np.ndarray) -> np.ndarray:
+        return reward + self.discount * np.append(value, 0.0)[self.outcomes].mean(-1)  # ENDED reads the last
 
 
 class NumberState(NamedTuple):
