@@ -44,7 +44,7 @@ class RMax(ActionValueLearner):
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     optimistic_value: Hyperparameter = hyperparameter(0.0)
     known_after: int = 5
-    planning_sweeps: int = 5
+    planning_sweeps: int = 2
 
     name = "R-MAX"
 
