@@ -52,9 +52,12 @@ env_initial = jax.jit(lambda word: SMALL.encode(SMALL.initial((word,), PARAMS)))
 
 
 @cache
-def trained(learner: Any, params: BusParams = PARAMS, episodes: int = EPISODES) -> hrljax.Run:
+def trained(
+    learner: Any, params: BusParams = PARAMS, episodes: int = EPISODES, evaluate_every: int | None = None
+) -> hrljax.Run:
     """A run alone, one episode a bin."""
-    return jax.jit(lambda key: hrljax.train(SMALL, learner, key, episodes, params=params, bin_size=1))(KEY)
+    options = {"params": params, "bin_size": 1, "evaluate_every": evaluate_every}
+    return jax.jit(lambda key: hrljax.train(SMALL, learner, key, episodes, **options))(KEY)
 
 
 def assert_runs_as(program: Program, learner: Any) -> None:
@@ -90,9 +93,9 @@ def assert_same_run(one: Any, other: Any, params: BusParams = PARAMS) -> None:
     assert len(np.unique(values)) > 50
 
 
-def assert_same_under_every_mapping(learner: Any, axes: dict[str, list[float]]) -> None:
-    """Native loops and `vmap` give the same curves, and those of a run alone."""
-    options = {"seeds": 3, "num_episodes": 12, "bin_size": 1, "params": PARAMS, "axes": axes, "progress": False}
+def assert_same_under_every_mapping(learner: Any, axes: dict[str, list[float]], episodes: int = 12) -> None:
+    """Native loops and `vmap` give the same curves."""
+    options = {"seeds": 3, "num_episodes": episodes, "bin_size": 1, "params": PARAMS, "axes": axes, "progress": False}
     native, vmap = (
         hrljax.sweep(SMALL, learner, **options, mapping=mapping, chunk_size=size)
         for mapping, size in (("native", 2), ("vmap", 6))
