@@ -27,7 +27,7 @@ class DynaTables(NamedTuple):
 
 @dataclass(frozen=True)
 class DynaQ(StepSizeLearner):
-    """Dyna-Q (Sutton 1990; Sutton and Barto 1998, Fig. 9.4), tabular.
+    """Dyna-Q (Sutton 1990; Sutton and Barto 1998, Fig. 9.4; thesis 2.3.2), tabular.
 
     After the update of Q-learning from a real step come `planning_steps` updates of the same kind
     from remembered ones: a pair drawn uniformly among those ever visited, and one of the outcomes
