@@ -10,6 +10,7 @@ import numpy as np
 import hrljax
 from hrljax import random
 from hrljax.envs.bus import BusParams
+from hrljax.learners.base import Experience, Moment
 from tests.maps import SMALL
 
 F = np.float32
@@ -104,3 +105,26 @@ def assert_same_under_every_mapping(learner: Any, axes: dict[str, list[float]], 
     assert len(np.unique(native["steps"])) > 3
     for variable in native:
         np.testing.assert_array_equal(native[variable].values, vmap[variable].values, err_msg=str(variable))
+
+
+def assert_learns_only_when_live(learner: Any) -> None:
+    """In lockstep, a step that is not live changes no table, whatever was learned from the same step before."""
+
+    @jax.jit
+    def run(live_steps: jax.Array, live: jax.Array) -> tuple[Any, Any]:
+        prepared = learner.prepare(SMALL)
+        words = tuple(jnp.uint32(9 * i) for i in range(learner.num_words))
+
+        def step(state: Any, live: jax.Array) -> Any:
+            here = Experience(jnp.int32(5), jnp.int32(2), jnp.float32(-3), jnp.int32(9), jnp.bool_(False))
+            moment = Moment(jnp.int32(0), live, jnp.uint32(0), lockstep=True)
+            return learner.learn(prepared, state, here, words, moment)
+
+        start = learner.init(SMALL, prepared)
+        before = jax.lax.fori_loop(0, live_steps, lambda _, state: step(state, jnp.bool_(True)), start)
+        return before.tables, step(before, live).tables
+
+    assert not np.array_equal(*(learner.action_values(tables) for tables in run(jnp.int32(1), jnp.bool_(True))))
+    for live_steps in range(1, 4):
+        before, after = jax.tree.map(np.asarray, run(jnp.int32(live_steps), jnp.bool_(False)))
+        jax.tree.map(np.testing.assert_array_equal, before, after)

@@ -12,7 +12,14 @@ from hrljax import random
 from hrljax.learners.base import Experience
 from hrljax.learners.dyna import DynaQ
 from hrljax.models import samples
-from tests.learners.python_run import PAIRS, assert_runs_as, assert_same_run, assert_same_under_every_mapping, choose
+from tests.learners.python_run import (
+    PAIRS,
+    assert_learns_only_when_live,
+    assert_runs_as,
+    assert_same_run,
+    assert_same_under_every_mapping,
+    choose,
+)
 
 F = np.float32
 
@@ -90,6 +97,10 @@ def test_the_latest_outcomes_are_kept():
     assert seen.tolist() == [0, 0, 0, 3]
     assert after.reshape(2, 4).tolist() == [[2, 2, 2, 2], [2, 2, 2, 1]]  # 2: the end
     assert reward.reshape(2, 4).tolist() == [[0, 0, 0, 10], [0, 0, 0, 8]]
+
+
+def test_a_step_that_is_not_live_changes_nothing():
+    assert_learns_only_when_live(DynaQ(planning_steps=2, outcomes_kept=2))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,14 @@ import hrljax
 from hrljax import solvers
 from hrljax.envs.bus import BusParams
 from hrljax.learners.rmax import RMax, RMaxTables
-from tests.learners.python_run import PAIRS, assert_runs_as, assert_same_under_every_mapping, choose, trained
+from tests.learners.python_run import (
+    PAIRS,
+    assert_learns_only_when_live,
+    assert_runs_as,
+    assert_same_under_every_mapping,
+    choose,
+    trained,
+)
 from tests.maps import SMALL
 
 F = np.float32
@@ -104,8 +111,12 @@ def test_the_optimum_is_near_where_thirty_visits_tell_much():
 
 
 def test_a_seed_has_one_result_under_every_mapping():
-    learner = RMax(known_after=1, planning_sweeps=2, discount=0.97)
+    learner = RMax(epsilon=0.5, known_after=2, planning_sweeps=2, discount=0.97)
     assert_same_under_every_mapping(learner, {"optimistic_value": [-8.0, -20.0]}, episodes=40)
+
+
+def test_a_step_that_is_not_live_changes_nothing():
+    assert_learns_only_when_live(RMax(known_after=2))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,14 @@ import pytest
 import hrljax
 from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.traces import QLambda, SARSALambda, TraceControl, TraceTables
-from tests.learners.python_run import PAIRS, assert_runs_as, assert_same_run, assert_same_under_every_mapping, choose
+from tests.learners.python_run import (
+    PAIRS,
+    assert_learns_only_when_live,
+    assert_runs_as,
+    assert_same_run,
+    assert_same_under_every_mapping,
+    choose,
+)
 
 F = np.float32
 
@@ -158,6 +165,11 @@ def test_without_decay_they_are_the_learners_of_one_step(trace: str):
 )
 def test_a_seed_has_one_result_under_every_mapping(learner: Any, axes: dict[str, list[float]]):
     assert_same_under_every_mapping(learner, axes)
+
+
+@pytest.mark.parametrize("learner", [SARSALambda(), QLambda(trace="accumulating")], ids=["SARSA(lambda)", "Q(lambda)"])
+def test_a_step_that_is_not_live_changes_nothing(learner: Any):
+    assert_learns_only_when_live(learner)
 
 
 @pytest.mark.parametrize(
