@@ -27,9 +27,9 @@ class RMax(ActionValueLearner):
 
     A (state, action) pair is known after `known_after` visits. Its model is the mean of their
     outcomes and stays as it is; every other pair is worth `optimistic_value`. Whenever a pair
-    becomes known, and only then, `planning_sweeps` sweeps of value iteration improve the action
-    values, from where the last ones left them. Runs mapped with `vmap` all plan when one of them
-    does, so native loops are many times faster.
+    becomes known, and only then, value iteration improves the action values, from where the last one
+    left them, until a sweep changes none by more than `planning_tolerance`. Runs mapped with `vmap`
+    all plan when one of them does, so native loops are many times faster.
 
     Attributes:
         epsilon: probability of a uniformly random action, or a schedule of the episode; R-MAX itself
@@ -38,14 +38,18 @@ class RMax(ActionValueLearner):
         optimistic_value: of unknown pairs. Should be at least what any policy can earn: ``R_max / (1
             - discount)`` in the paper, 0 where every reward is a cost.
         known_after: visits after which a pair is known, at least 1.
-        planning_sweeps: Jacobi sweeps over all pairs when one becomes known, at least 1.
+        planning_tolerance: at least 0.
+        planning_sweeps: most Jacobi sweeps over all pairs when one becomes known, at least 1. A bound
+            that is often reached is too low: where nothing is left to become known, values that are
+            still too optimistic are not corrected any more.
     """
 
     epsilon: Hyperparameter = hyperparameter(0.0, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     optimistic_value: Hyperparameter = hyperparameter(0.0)
+    planning_tolerance: Hyperparameter = hyperparameter(0.01, 0)
     known_after: int = 5
-    planning_sweeps: int = 2
+    planning_sweeps: int = 500
 
     name = "R-MAX"
 
@@ -88,14 +92,22 @@ class RMax(ActionValueLearner):
         reward = exact_product(share, _sum(list(tables.samples.reward.reshape(-1, num_pairs))), zero)
         discount = jnp.asarray(self.discount, jnp.float32)
 
-        def sweep(_: Array, values: Array) -> Array:
+        def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            values, _, count = carry
             at_states = jnp.concatenate([values.reshape(-1, prepared).max(-1), jnp.zeros(1, jnp.float32)])
             follows = [at_states.at[states].get(mode="promise_in_bounds") for states in after]
             mean = exact_product(share, _sum(follows), zero)
             found = reward + exact_product(jnp.broadcast_to(discount, mean.shape), mean, zero)
-            return lax.select(known, found, jnp.broadcast_to(self._optimistic(), found.shape))
+            found = lax.select(known, found, jnp.broadcast_to(self._optimistic(), found.shape))
+            return found, jnp.abs(found - values).max(), count + 1
 
-        return tables._replace(values=lax.fori_loop(0, self.planning_sweeps, sweep, tables.values))
+        tolerance = jnp.asarray(self.planning_tolerance, jnp.float32)
+        values, _, _ = lax.while_loop(
+            lambda carry: (carry[1] > tolerance) & (carry[2] < self.planning_sweeps),
+            sweep,
+            (tables.values, jnp.float32(np.inf), jnp.int32(0)),
+        )
+        return tables._replace(values=values)
 
     def _optimistic(self) -> Array:
         return jnp.asarray(self.optimistic_value, jnp.float32)
