@@ -41,6 +41,12 @@ class Settings:
             if field.metadata.get("sweepable") and not isinstance(value, Tracer):
                 _check_number(type(self).__name__, field, value)
 
+    def _check_integer(self, option: str, least: int) -> None:
+        """Raises unless a static option is an integer of at least `least`."""
+        value = getattr(self, option)
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**31:
+            raise ValueError(f"{type(self).__name__}: {option} must be an integer of at least {least}, got {value!r}")
+
     def replaced(self, values: Mapping[str, Any]) -> Self:
         """A copy with some fields replaced; ``"root.step_size"`` reaches into a field that has fields."""
         own: dict[str, Any] = {}
@@ -107,10 +113,18 @@ class Moment(NamedTuple):
         """
         if self.lockstep:
             return update(tables, self._replace(live=self.live & condition))
-        # A loop of at most one turn changes its tables in place; a branch would copy them.
-        return lax.while_loop(
-            lambda carry: carry[0], lambda carry: (jnp.bool_(False), update(carry[1], self)), (condition, tables)
-        )[1]
+        return once_if(condition, lambda tables: update(tables, self), tables)
+
+
+def once_if(condition: Array, update: Callable[[Any], Any], tables: Any) -> Any:
+    """``update(tables)`` where `condition` holds, else `tables`.
+
+    A loop of at most one turn changes its tables in place; a branch would copy them. Under `vmap`
+    it takes its turn, for all runs of a batch, when any of them needs it: suits what is rare.
+    """
+    return lax.while_loop(
+        lambda carry: carry[0], lambda carry: (jnp.bool_(False), update(carry[1])), (condition, tables)
+    )[1]
 
 
 class Experience(NamedTuple):
