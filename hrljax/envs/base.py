@@ -97,7 +97,8 @@ class Environment(ABC, Generic[State, Params]):
 
         Returns:
             next state; reward (float32); terminated (bool): the episode ended in the environment
-            itself, not by a limit of steps; info: whether each event in `metrics` happened (bool).
+            itself, not by a limit of steps; info: whether each event in `metrics` happened (bool; or,
+                unless the environment is tabular, how much of it, float32).
         """
 
     @abstractmethod

@@ -12,7 +12,6 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax.envs.base import TabularEnvironment
 from hrljax.numerics import take
 
 Schedule: TypeAlias = Callable[[Any], Any]
@@ -130,10 +129,10 @@ def once_if(condition: Array, update: Callable[[Any], Any], tables: Any) -> Any:
 class Experience(NamedTuple):
     """One primitive step, as scalars."""
 
-    state: Array  # int32 number of the state
+    state: Any  # int32 number of the state; of an environment that is not tabular, the state
     action: Array  # int32
     reward: Array  # float32
-    next_state: Array  # int32
+    next_state: Any  # as `state`
     terminated: Array  # bool: the next state has no value
 
 
@@ -145,13 +144,15 @@ class LearnerState(NamedTuple):
 
 
 class Learner(Settings, ABC):
-    """A tabular learner, written for one run of one seed: every method is a pure scalar function.
+    """A learner, written for one run of one seed: every method is a pure function.
 
     The training loop calls `begin` at the first state of every episode, and for every step `action`
-    and then `learn`.
+    and then `learn`. A tabular learner is given the numbers of states, another one the states.
     """
 
     name: ClassVar[str]
+    is_tabular: ClassVar[bool] = True
+    """Whether it needs a tabular environment."""
     num_words: ClassVar[int]
     """Random words that one `learn` uses."""
     num_begin_words: ClassVar[int]
@@ -162,12 +163,12 @@ class Learner(Settings, ABC):
         """Episodes between two calls of `plan`; 0 if the learner does not plan."""
         return 0
 
-    def prepare(self, env: TabularEnvironment[Any, Any]) -> Any:
+    def prepare(self, env: Any) -> Any:
         """Tables that the learner needs of the environment, made once on the host."""
         return None
 
     @abstractmethod
-    def init(self, env: TabularEnvironment[Any, Any], prepared: Any) -> LearnerState:
+    def init(self, env: Any, prepared: Any) -> LearnerState:
         """The learner's state before the first episode."""
 
     @abstractmethod
@@ -191,11 +192,9 @@ class Learner(Settings, ABC):
         """
         return tables
 
-    @abstractmethod
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array
-    ) -> Array:
+    def greedy_return(self, env: Any, prepared: Any, tables: Any, params: Any, zero: Array) -> Array:
         """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
+        raise NotImplementedError(f"{self.name} has no exact evaluation")
 
 
 def tabulated(learner: Learner, num_episodes: int) -> Learner:
