@@ -197,6 +197,50 @@ class Decomposed:
         old = self.table[frame.task, frame.state, frame.child]
         return old + F(self.learner.step_size) * (target - old)
 
+    # What greedy behaviour earns.
+
+    def completed(self, stack: tuple[str, ...], state: int) -> tuple[tuple[str, ...], int]:
+        """The stack that takes the next action, and the action, after the subtask on top has decided."""
+        while isinstance(child := self.best(stack[-1], state), str):
+            stack = (*stack, child)
+        return stack, child
+
+    def greedy_return(self, env: "PythonEnv") -> float:
+        """By backward induction over (stack, state) pairs, in float64."""
+        model, first = env.env.model(env.params), env.env.initial_distribution(env.params)
+        states, value = range(len(first)), {}
+
+        def entering(state: int) -> float:
+            if self.root_learns:
+                return value.get(((self.root,), state), 0.0)
+            children = self.allowed(self.root, state)
+            return sum(value.get(((child,), state), 0.0) for child in children) / len(children)
+
+        def arriving(stack: tuple[str, ...], state: int) -> float:
+            for depth, task in enumerate(stack):
+                if not (self.root_learns and depth == 0) and not self.graph.active[task][state]:
+                    stack = stack[:depth]
+                    break
+            return value.get((stack, state), 0.0) if stack else entering(state)
+
+        bottoms = [(self.root,)] if self.root_learns else [(child,) for child in self.graph.children[self.root]]
+        stacks = {self.completed(b, s)[0][:depth] for b in bottoms for s in states for depth in (1, 2, 3, 4)}
+        plans = {(stack, state): self.completed(stack, state) for stack in stacks for state in states}
+        while more := {stack[:depth] for stack, _ in plans.values() for depth in range(1, len(stack) + 1)} - stacks:
+            stacks |= more
+            plans |= {(stack, state): self.completed(stack, state) for stack in more for state in states}
+        for _ in range(env.params.max_steps):
+            updated = {}
+            for (stack, state), (runs, action) in plans.items():
+                outcomes = zip(*(column[state, action] for column in model), strict=True)
+                updated[stack, state] = sum(
+                    probability * (reward + (0.0 if over else arriving(runs, int(after))))
+                    for after, probability, reward, over in outcomes
+                    if probability
+                )
+            value = updated
+        return float(sum(p * entering(s) for s, p in enumerate(first) if p))
+
     # Comparison.
 
     def compare(self, learned: Any) -> None:
@@ -208,7 +252,9 @@ class Decomposed:
             for slot, child in enumerate(self.graph.children[task]):
                 rows = np.stack([self.table[task, state, child] for state in range(found.shape[1])])
                 used = self.used_parts()
-                np.testing.assert_array_equal(found[number, :, slot][:, used], rows[:, used], err_msg=f"{task}, {child}")
+                np.testing.assert_array_equal(
+                    found[number, :, slot][:, used], rows[:, used], err_msg=f"{task}, {child}"
+                )
 
     def used_parts(self) -> list[int]:
         return [0, 1, 2, 3] if self.has_exit else [0, 1, 3]  # MAXQ-Q reads no Q_e
