@@ -23,7 +23,7 @@ _FINE = 8
 INK = "#1B1F2A"
 _WHITE, _CREAM = "#FFFFFF", "#FFF1D0"
 _ORANGE, _SKY, _GREEN, _YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
-_BLUE, _RED, _PINK, _BROWN = "#0072B2", "#D55E00", "#CC79A7", "#7A5038"
+_BLUE, _RED, _PINK, _BROWN = "#0072B2", "#D55E00", "#CC79A7", "#A9714B"
 
 Box = tuple[float, float, float, float]
 
