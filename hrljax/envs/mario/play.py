@@ -2,16 +2,17 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from os import PathLike
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax.envs.base import concrete_params
 from hrljax.envs.mario import features
-from hrljax.envs.mario.competition import OBSERVED, PLAYING, TICKS, Episode, held_keys, keys_of
+from hrljax.envs.mario.competition import OBSERVED, PLAYING, TICKS, Episode, held_keys, keys_of, unbegun
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.env import ALL_ACTIONS, Mario, MarioParams
 from hrljax.envs.mario.level import PIRANHA
@@ -29,6 +30,7 @@ COLUMNS = (
     "step", "direction", "jump", "speed", "reward", "return", "x", "y", "size", "coins", "kills", "terminated",
 )  # fmt: skip
 """Columns of `table`."""
+_NO_OP = ALL_ACTIONS.index((0, 0, 0))
 _AHEAD = 4
 """Columns that the runner looks ahead; at full speed he covers three in a step."""
 
@@ -39,53 +41,60 @@ class Step(NamedTuple):
     action: Action
     reward: float
     terminated: bool
-    truncated: bool
     worlds: list[World]  # after each tick that was played, up to 5
     episode: Episode  # after the step
 
 
-def play(env: Mario, policy: Policy, params: MarioParams | None = None, key: int = 0) -> Iterator[Step]:
+def play(env: Mario, policy: Policy, params: MarioParams | None = None, level: int = 0) -> Iterator[Step]:
     """Plays one episode and yields its steps.
 
     Args:
         env: with all twelve actions.
         policy: chooses the actions.
         params: numbers of the environment; its own if not given.
-        key: seed of the choice among the environment's levels.
+        level: number of the level among the environment's.
 
     Raises:
-        ValueError: `env` lacks some of the actions.
+        ValueError: `env` lacks some of the actions, or has no such level.
     """
     if env.action_table != ALL_ACTIONS:
         raise ValueError('env must have actions="all"')
-    step = jax.jit(partial(env.step, params=params))
-    one_tick = jax.jit(partial(_tick, env.course, env.quantum))
-    limit = (env.default_params if params is None else params).max_steps
-    _, episode = jax.jit(partial(env.reset, params=params))(jax.random.key(key))
+    if not 0 <= level < env.course.num_levels:
+        raise ValueError(f"level must be in 0..{env.course.num_levels - 1}, got {level}")
+    numbers = concrete_params(env.default_params if params is None else params)
+    take_step, take_tick = _compiled(env)
+    # The first observation comes after a step without keys.
+    episode = take_step(unbegun(env.course, level), jnp.int32(_NO_OP), numbers)[0]
     while int(episode.phase) != OBSERVED:
         action = policy(episode)
         if action is None:
             return
-        number = jnp.int32(ALL_ACTIONS.index(action))
-        _, after, reward, terminated, truncated, _ = step(jax.random.key(key), episode, number)
-        late = int(episode.time) + 1 >= limit
-        worlds = _worlds(one_tick, episode, int(after.phase), keys_of(*action), late)
+        after, reward, terminated, _ = take_step(episode, jnp.int32(ALL_ACTIONS.index(action)), numbers)
+        worlds = _worlds(take_tick, episode, after, keys_of(*action), int(after.time) >= numbers.max_steps)
         episode = after
-        yield Step(action, float(reward), bool(terminated), bool(truncated), worlds, episode)
+        yield Step(action, float(reward), bool(terminated), worlds, episode)
 
 
-def _tick(course: Course, quantum: int | None, number: jax.Array, last: jax.Array, keys: jax.Array, late: jax.Array,
-          world: World) -> World:  # fmt: skip
-    return tick(course, world, held_keys(number, last, keys), late & (number == 0), quantum)
+@lru_cache(maxsize=4)
+def _compiled(env: Mario) -> tuple[Callable[..., Any], Callable[..., World]]:
+    """The step of an environment, and a single tick of it."""
+
+    def take_step(episode: Episode, action: jax.Array, params: MarioParams) -> Any:
+        return env.transition(episode, action, (), params)
+
+    def take_tick(number: jax.Array, last: jax.Array, keys: jax.Array, late: jax.Array, world: World) -> World:
+        return tick(env.course, world, held_keys(number, last, keys), late & (number == 0), env.quantum)
+
+    return jax.jit(take_step), jax.jit(take_tick)
 
 
-def _worlds(one_tick: Callable[..., World], episode: Episode, phase_after: int, keys: int, late: bool) -> list[World]:
-    """The worlds after the ticks of a step; an episode ends in the middle of a step."""
-    world, worlds = episode.world, []
-    for number in range(TICKS if int(episode.phase) == PLAYING else 0):
-        world = one_tick(jnp.int32(number), episode.keys, jnp.int32(keys), jnp.bool_(late), world)
+def _worlds(take_tick: Callable[..., World], before: Episode, after: Episode, keys: int, late: bool) -> list[World]:
+    """The worlds after the ticks of a step; an episode may end in the middle of it."""
+    world, worlds = before.world, []
+    for number in range(TICKS if int(before.phase) == PLAYING else 0):
+        world = take_tick(jnp.int32(number), before.keys, jnp.int32(keys), jnp.bool_(late), world)
         worlds.append(world)
-        if phase_after == OBSERVED and (int(world.player.death_time) or int(world.player.win_time)):
+        if int(after.phase) == OBSERVED and (int(world.player.death_time) or int(world.player.win_time)):
             break
     return worlds
 

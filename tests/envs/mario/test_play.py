@@ -19,7 +19,7 @@ LEVEL = (
     "type: overground\n"
     + ("." * WIDTH + "\n") * 11
     + ("." * WIDTH + "\n") * 2
-    + ("#" * 14 + "..." + "#" * (WIDTH - 17) + "\n") * 2
+    + ("#" * 16 + ".." + "#" * (WIDTH - 18) + "\n") * 2
     + "\n"
     + ("." * WIDTH + "\n") * 14
     + "." * 24 + "!" + "." * (WIDTH - 25) + "\n"
@@ -27,7 +27,7 @@ LEVEL = (
 
 
 def test_the_runner_jumps_over_a_pit_and_wins_and_the_film_shows_every_tick():
-    env = Mario(levels=(LEVEL,), actions="all")
+    env = Mario(levels=(LEVEL,), preset="competition", actions="all")
     steps = list(play(env, runner_policy(env.course)))
     assert steps[-1].terminated
     assert steps[-1].reward == 100
@@ -99,6 +99,11 @@ def test_actions_need_the_recorded_policy(tmp_path):
         main(options(policy="recorded", out=tmp_path))
     with pytest.raises(ValueError, match="--ticks-per-frame must be an integer of at least 1, got 0"):
         main(options(ticks_per_frame=0, out=tmp_path))
+
+
+def test_there_must_be_such_a_level():
+    with pytest.raises(ValueError, match=r"level must be in 0..0, got 1"):
+        next(play(Mario(levels=(LEVEL,), actions="all"), random_policy(0), level=1))
 
 
 def test_fewer_actions_are_not_enough():
