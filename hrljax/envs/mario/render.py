@@ -27,6 +27,7 @@ _BEHIND_TILES = (PIRANHA, MUSHROOM, FLOWER)
 """Kinds that come out of tiles."""
 _RULER = 14
 _STATUS = 13
+_PACK = np.array([1 << 16, 1 << 8, 1], np.uint32)
 _FLAG = 16 * 5
 """Height of the flag from the top: below every ceiling."""
 
@@ -65,7 +66,7 @@ def screen(course: Course, world: World, tile_pixels: int = 32, status: bool = T
     picture.figure(float(world.player.x), float(world.player.y), _mario_pose(world))
     if status:
         picture.write(_status(world), level_type_of(tiles))
-    return np.asarray(picture.image.convert("RGB"))
+    return np.array(picture.image.convert("RGB"))
 
 
 def level_strip(
@@ -136,8 +137,11 @@ def save_gif(frames: Iterable[np.ndarray], path: str | PathLike[str], fps: float
         shots.append(frame)
     if not shots:
         raise ValueError("frames must be at least one, got none")
-    samples = np.concatenate(shots[:: max(1, len(shots) // 6)])
-    palette = Image.fromarray(samples).quantize(255, Image.Quantize.MEDIANCUT)
+    # Every colour counts once, however small the thing that has it.
+    points = [shot[::2, ::2].reshape(-1, 3).astype(np.uint32) @ _PACK for shot in shots]
+    colours = np.unique(np.concatenate([np.unique(point) for point in points]))
+    unpacked = (colours[:, None] // _PACK % 256).astype(np.uint8)
+    palette = Image.fromarray(unpacked[None]).quantize(255, Image.Quantize.MEDIANCUT)
     images = [Image.fromarray(shot).quantize(palette=palette, dither=Image.Dither.NONE) for shot in shots]
     target = Path(path)
     unfinished = target.with_name(target.name + ".part")

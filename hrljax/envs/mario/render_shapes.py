@@ -1,6 +1,6 @@
 """The drawings of the platformer: tiles and figures of our own, from simple shapes.
 
-Measures are the game's pixels: a tile is 16 x 16, a figure is drawn on a canvas of 32 x 40 with the
+Measures are the game's pixels: a tile is 16 x 16, a figure is drawn on a canvas of 32 x 72 with the
 middle of its lower edge at (16, 34), looking right. Colours keep their distance for colour-blind
 eyes (after Okabe and Ito), and things that differ in colour differ in a mark too.
 """
@@ -15,7 +15,7 @@ from hrljax.envs.mario import tiles as t
 from hrljax.envs.mario.level import GOOMBA, GREEN_KOOPA, PIRANHA, RED_KOOPA, SPIKY
 from hrljax.envs.mario.state import FIREBALL, FLOWER, MUSHROOM, SHELL
 
-CANVAS = (32, 40)
+CANVAS = (32, 72)
 ANCHOR = (16, 34)
 _FINE = 8
 """Points per pixel while drawing; the picture is then shrunk, which smooths edges."""
@@ -337,8 +337,8 @@ def _spiky(pen: Pen, pose: Pose) -> None:
 
 
 def _piranha(pen: Pen, pose: Pose) -> None:
-    """A plant with an open mouth; its stem goes down into the pipe."""
-    pen.box((14.6, 25, 17.4, 40), _GREEN, INK, 0.7)
+    """A plant with an open mouth; its stem goes down into the pipe, however high it rises."""
+    pen.box((14.6, 25, 17.4, 40 if pose.dead or pose.squashed else CANVAS[1]), _GREEN, INK, 0.7)
     for side in (-1, 1):
         leaf = [(16, 34), (16 + side * 6.5, 30), (16 + side * 7, 34.5), (16, 37)]
         pen.shape(leaf, "#5FC9A6", INK, 0.7)

@@ -126,6 +126,16 @@ def test_films_read_back(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["film.gif"]
 
 
+def test_films_keep_the_colour_of_small_things(tmp_path):
+    frames = [screen(COURSE, GAME._replace(camera=jnp.float32(x)), 16) for x in (0.0, 500.0)]
+    frames[1][100:104, 100:104] = (213, 94, 0)
+    save_gif(frames, tmp_path / "film.gif")
+    with Image.open(tmp_path / "film.gif") as film:
+        film.seek(1)
+        shown = np.asarray(film.convert("RGB")).astype(int)
+    assert np.abs(shown[101, 101] - (213, 94, 0)).max() < 24
+
+
 @pytest.mark.parametrize(
     ("frames", "fps", "message"),
     [
