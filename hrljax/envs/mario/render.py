@@ -1,6 +1,6 @@
 """Pictures of the platformer: the screen, a whole level, a film of a game.
 
-Needs Pillow, but neither a display nor ffmpeg. The drawings are our own (`render_shapes`). Blocks
+Needs Pillow, but neither a display nor ffmpeg. The drawings are our own (`render_tiles`, `render_figures`). Blocks
 show what they hide: a coin, or an arrow for a power-up.
 """
 
@@ -16,7 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.ground import level_type_of
 from hrljax.envs.mario.level import KIND_MASK, PIRANHA, SCREEN_WIDTH, WINGED, Level, check_level
-from hrljax.envs.mario.render_shapes import ANCHOR, INK, LOOKS, Pose, figure_image, tile_image
+from hrljax.envs.mario.render_figures import ANCHOR, Pose, figure_image
+from hrljax.envs.mario.render_pen import INK
+from hrljax.envs.mario.render_tiles import LOOKS, tile_image
 from hrljax.envs.mario.state import DEAD, FLOWER, FLYING, MUSHROOM, SHELL, Sprites, World
 from hrljax.envs.mario.state import WINGED as WINGED_FLAG
 from hrljax.envs.mario.tiles import HEIGHT, HILL_BODIES, HILL_TOPS, HILL_TOPS_JOINED, TILE

@@ -11,7 +11,8 @@ from PIL import Image
 from hrljax.envs.mario.course import make_course, start
 from hrljax.envs.mario.generator import generate_level
 from hrljax.envs.mario.render import level_strip, save_gif, screen
-from hrljax.envs.mario.render_shapes import Pose, figure_image, tile_image
+from hrljax.envs.mario.render_figures import Pose, figure_image
+from hrljax.envs.mario.render_tiles import tile_image
 from hrljax.envs.mario.state import SHELL
 from hrljax.envs.mario.tiles import BRICK_COIN, EMPTY, TILES
 
