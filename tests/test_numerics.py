@@ -49,8 +49,8 @@ def test_an_exact_product_of_words_in_registers_is_rounded_before_it_is_added():
         words = jax.lax.iota(jnp.uint32, len(a)) ^ (a > b).astype(jnp.uint32)
         return exact_product(a, b, opaque_zero(words)) + c
 
-    a, b, c = TRIPLES
-    np.testing.assert_array_equal(jax.jit(add)(*map(jnp.asarray, TRIPLES)), a * b + c)
+    a, b, c = TRIPLES[:, :2_000]
+    np.testing.assert_array_equal(jax.jit(add)(*map(jnp.asarray, (a, b, c))), a * b + c)
 
 
 def test_an_exact_product_in_a_loop_of_scalars_is_rounded_before_it_is_added():
