@@ -12,10 +12,17 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.core import Tracer
 
 from hrljax.models.tree_growth import (
-    EQUALS, INPUT_BITS, LEAF, LEFT_SHIFT, MAX_NODES, Arrays, Growth, Quanta, empty_arrays, grow, quantise,
+    EQUALS,
+    INPUT_BITS,
+    LEAF,
+    LEFT_SHIFT,
+    Arrays,
+    Growth,
+    empty_arrays,
+    grow,
+    quantise,
 )  # fmt: skip
 from hrljax.models.tree_inputs import MAX_BINS, MAX_CATEGORIES, MAX_INPUTS, bin_inputs, make_cells
 from hrljax.numerics import put_row, take
