@@ -50,11 +50,16 @@ def _drawn_camera(course: Course, player: Player) -> Array:
     return lax.clamp(jnp.int32(0), shown - SCREEN_WIDTH // 2, jnp.int32(course.num_columns * TILE - SCREEN_WIDTH))
 
 
+def unbegun(course: Course, level: Array | int) -> Episode:
+    """An episode before its first tick. One step without keys from here leads to what `begin` returns."""
+    nothing = jnp.int32(0)
+    return Episode(start(course, level), nothing, nothing, nothing, jnp.int32(-1))
+
+
 def begin(course: Course, level: Array | int, quantum: int | None = None) -> Episode:
     """The first observed moment of an episode: five ticks without keys after the start of a level."""
-    nothing = jnp.int32(0)
-    fresh = Episode(start(course, level), nothing, nothing, nothing, nothing)
-    return _ticks(course, fresh, nothing, jnp.bool_(False), quantum)
+    fresh = unbegun(course, level)._replace(time=jnp.int32(0))
+    return _ticks(course, fresh, jnp.int32(0), jnp.bool_(False), quantum)
 
 
 def advance(
@@ -95,7 +100,7 @@ def _ticks(course: Course, episode: Episode, keys: Array, late: Array, quantum: 
     unseen = playing & (number == TICKS) & _over(world.player)
     phase = lax.select(unseen, jnp.int32(ENDED), jnp.int32(OBSERVED))
     phase = lax.select(_over(world.player), phase, jnp.int32(PLAYING))
-    return Episode(world, keys, phase, camera, episode.time)
+    return Episode(world, lax.select(playing, keys, episode.keys), phase, camera, episode.time)
 
 
 class Objects(NamedTuple):
@@ -165,4 +170,3 @@ def screen(course: Course, episode: Episode) -> Array:
 def camera_column(episode: Episode) -> Array:
     """Column of the level at the left edge of the observed screen (int32)."""
     return episode.camera // TILE
-
