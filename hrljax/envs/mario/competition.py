@@ -105,7 +105,7 @@ def _ticks(course: Course, episode: Episode, keys: Array, late: Array, quantum: 
     unseen = playing & (number == TICKS) & _over(world.player)
     phase = lax.select(unseen, jnp.int32(ENDED), jnp.int32(OBSERVED))
     phase = lax.select(_over(world.player), phase, jnp.int32(PLAYING))
-    return Episode(world, keys, phase, camera, episode.time)
+    return Episode(world, lax.select(playing, keys, episode.keys), phase, camera, episode.time)
 
 
 class Objects(NamedTuple):
@@ -175,4 +175,3 @@ def screen(course: Course, episode: Episode) -> Array:
 def camera_column(episode: Episode) -> Array:
     """Column of the level at the left edge of the observed screen (int32)."""
     return episode.camera // TILE
-

@@ -12,7 +12,16 @@ from jax.core import Tracer
 
 from hrljax.envs.base import Environment
 from hrljax.envs.mario.competition import (
-    COLUMNS, OBSERVED, ROWS, Episode, Objects, advance, begin, keys_of, objects, screen,
+    COLUMNS,
+    OBSERVED,
+    ROWS,
+    Episode,
+    Objects,
+    advance,
+    begin,
+    keys_of,
+    objects,
+    screen,
 )  # fmt: skip
 from hrljax.envs.mario.course import Course, make_course
 from hrljax.envs.mario.generator import generate_level

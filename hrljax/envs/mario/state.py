@@ -104,17 +104,19 @@ class World(NamedTuple):
     level: Array  # index into the `Course`
 
 
+_FLOATS = ("x", "y", "xa", "ya", "x_old", "y_old")
+
+
 def no_sprites() -> Sprites:
     """Sprites of an empty list."""
-    zero_f = jnp.zeros(MAX_SPRITES, jnp.float32)
-    zero_i = jnp.zeros(MAX_SPRITES, jnp.int32)
-    return Sprites(*[zero_f] * 6, *[zero_i] * 6, jnp.full(MAX_SPRITES, -1, jnp.int32))
+    numbers, counts = jnp.zeros(MAX_SPRITES, jnp.float32), jnp.zeros(MAX_SPRITES, jnp.int32)
+    return Sprites(**{name: numbers if name in _FLOATS else counts for name in Sprites._fields})
 
 
 def new_player(large: Array | bool = False, fire: Array | bool = False) -> Player:
     """Mario at the start of a level: 32 pixels from its left end, falling from the top."""
     zero, off = jnp.float32(0), jnp.bool_(False)
-    large, fire = jnp.bool_(large), jnp.bool_(fire)
+    large, fire = jnp.asarray(large, bool), jnp.asarray(fire, bool)
     count = jnp.int32(0)
     return Player(
         x=jnp.float32(32), y=zero, xa=zero, ya=zero, x_old=jnp.float32(32), y_old=zero,
