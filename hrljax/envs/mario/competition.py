@@ -30,6 +30,12 @@ def keys_of(direction: int, jump: int, speed: int) -> int:
     return {-1: LEFT, 0: 0, 1: RIGHT}[direction] | JUMP * jump | SPEED * speed
 
 
+def held_keys(number: Array, last: Array, keys: Array) -> Array:
+    """The keys held in tick `number` (0 to 4) of a step, after a step with the keys `last` (all int32)."""
+    direction = keys & np.int32(LEFT | RIGHT)
+    return lax.select(number == 0, last, lax.select(number == 1, direction, keys))
+
+
 class Episode(NamedTuple):
     """An episode between two steps. Scalars."""
 
@@ -86,8 +92,7 @@ def _ticks(course: Course, episode: Episode, keys: Array, late: Array, quantum: 
     def one(carry: tuple[Array, World, Array]) -> tuple[Array, World, Array]:
         number, world, _ = carry
         camera = _drawn_camera(course, world.player)
-        direction = keys & np.int32(LEFT | RIGHT)
-        held = lax.select(number == 0, episode.keys, lax.select(number == 1, direction, keys))
+        held = held_keys(number, episode.keys, keys)
         return number + 1, tick(course, world, held, late & (number == 0), quantum), camera
 
     def goes_on(carry: tuple[Array, World, Array]) -> Array:
