@@ -101,6 +101,7 @@ class Mario(Environment[Episode, MarioParams]):
 
     name = "Mario"
     metrics = ("win", "death", "distance", "coins", "kills")
+    has_loops = True
     num_words = 0
     num_initial_words = 1
 
