@@ -255,8 +255,8 @@ def report(rows: list[dict[str, Any]]) -> str:
 def main(options: Options) -> None:
     fitted = planner_trees.fit()
     trees = planner_trees.packed(fitted)
-    inner = [int((~leaf).sum()) for leaf in trees.is_leaf]
-    print(f"{len(fitted)} trees with {sum(inner)} tests, {max(inner)} in the greatest, depth at most", end=" ")
+    tests = (trees.words != 0).sum(axis=1)
+    print(f"{len(fitted)} trees with {tests.sum()} tests, {tests.max()} in the greatest, depth at most", end=" ")
     print(max(tree.get_depth() for tree in fitted))
     problem = Problem(
         fitted, trees, planner_trees.screens(options.searches, 3), planner_trees.starts(options.searches, 4)

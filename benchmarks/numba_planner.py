@@ -41,15 +41,17 @@ def _pop(heap, size, priority):
 
 
 @numba.njit(inline="always")
-def _predict(feature, threshold, left, is_leaf, tree, inputs):
-    place = 0
-    while not is_leaf[tree, place]:
-        place = left[tree, place] + np.int32(inputs[feature[tree, place]] > threshold[tree, place])
-    return threshold[tree, place]
+def _predict(words, numbers, tree, inputs):
+    place = np.int32(0)
+    word = words[tree, place]
+    while word != 0:
+        place = (word >> 8) + np.int32(inputs[word & 0xFF] > numbers[tree, place])
+        word = words[tree, place]
+    return numbers[tree, place]
 
 
 @numba.njit
-def search(feature, threshold, left, is_leaf, screen, start, actions, depth_limit, expansions, stop_reward):
+def search(words, numbers, screen, start, actions, depth_limit, expansions, stop_reward):
     """One search from position and speed `start`: nodes generated, first action, value of the best node."""
     nodes = 1 + actions * expansions
     state = np.empty((nodes, 4), np.float32)
@@ -78,11 +80,11 @@ def search(feature, threshold, left, is_leaf, screen, start, actions, depth_limi
             inputs[27] = a
             child = count
             count += 1
-            state[child, 0] = state[node, 0] + _predict(feature, threshold, left, is_leaf, 4 * a, inputs)
-            state[child, 1] = state[node, 1] + _predict(feature, threshold, left, is_leaf, 4 * a + 1, inputs)
-            state[child, 2] = _predict(feature, threshold, left, is_leaf, 4 * a + 2, inputs)
-            state[child, 3] = _predict(feature, threshold, left, is_leaf, 4 * a + 3, inputs)
-            value[child] = value[node] + _predict(feature, threshold, left, is_leaf, 4 * actions, inputs)
+            state[child, 0] = state[node, 0] + _predict(words, numbers, 4 * a, inputs)
+            state[child, 1] = state[node, 1] + _predict(words, numbers, 4 * a + 1, inputs)
+            state[child, 2] = _predict(words, numbers, 4 * a + 2, inputs)
+            state[child, 3] = _predict(words, numbers, 4 * a + 3, inputs)
+            value[child] = value[node] + _predict(words, numbers, 4 * actions, inputs)
             depth[child] = depth[node] + 1
             first_action[child] = a if node == 0 else first_action[node]
             if value[child] > best_value:
@@ -94,12 +96,12 @@ def search(feature, threshold, left, is_leaf, screen, start, actions, depth_limi
 
 
 @numba.njit
-def search_all(feature, threshold, left, is_leaf, screens, starts, actions, depth, expansions, stop_reward):
+def search_all(words, numbers, screens, starts, actions, depth, expansions, stop_reward):
     """One search after the other: counts, first actions and values."""
     n = len(starts)
     counts, firsts, values = np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.float32)
     for i in range(n):
         counts[i], firsts[i], values[i] = search(
-            feature, threshold, left, is_leaf, screens[i], starts[i], actions, depth, expansions, stop_reward
+            words, numbers, screens[i], starts[i], actions, depth, expansions, stop_reward
         )
     return counts, firsts, values

@@ -31,14 +31,12 @@ class Node(NamedTuple):
 class Trees(NamedTuple):
     """Binary trees as arrays of C nodes: tree 4 * action + target, and the reward's as the last.
 
-    A node sends an input that is greater than its threshold to `left` + 1. A leaf sends everything to
-    itself, so that descents of different length can run side by side.
+    An input that is greater than a node's number goes to the left child + 1, another one to the left
+    child. A leaf has the word 0 and its prediction as its number.
     """
 
-    feature: Any  # [37, C] int32
-    threshold: Any  # [37, C] float32, the prediction in a leaf
-    left: Any  # [37, C] int32
-    is_leaf: Any  # [37, C] bool
+    words: Any  # [37, C] int32: left child << 8 | input
+    numbers: Any  # [37, C] float32
 
 
 def screens(count: int, seed: int) -> np.ndarray:
@@ -100,48 +98,48 @@ def packed(fitted: list[DecisionTreeRegressor]) -> Trees:
     """The same trees in arrays, children side by side; float32 thresholds decide as scikit-learn's do."""
     capacity = max(tree.tree_.node_count for tree in fitted)
     shape = len(fitted), capacity
-    trees = Trees(
-        np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.zeros(shape, np.int32), np.ones(shape, bool)
-    )
+    trees = Trees(np.zeros(shape, np.int32), np.zeros(shape, np.float32))
     for number, tree in enumerate(fitted):
         theirs, order = tree.tree_, [0]
         for place in range(theirs.node_count):
             node = order[place]
             if theirs.children_left[node] < 0:
-                trees.threshold[number, place], trees.left[number, place] = theirs.value[node, 0, 0], place
+                trees.numbers[number, place] = theirs.value[node, 0, 0]
                 continue
             threshold = np.float32(theirs.threshold[node])
             if threshold > theirs.threshold[node]:
                 threshold = np.nextafter(threshold, np.float32(-np.inf))
-            trees.feature[number, place], trees.threshold[number, place] = theirs.feature[node], threshold
-            trees.left[number, place], trees.is_leaf[number, place] = len(order), False
+            trees.numbers[number, place] = threshold
+            trees.words[number, place] = len(order) << 8 | theirs.feature[node]
             order += [theirs.children_left[node], theirs.children_right[node]]
     return trees
 
 
 def model(trees: Trees, screen: Array) -> Callable[[Node, Array], tuple[Node, Array]]:
     """The trees as a model for `hrljax.planners.best_first`: five descents at a time."""
-    num_trees, capacity = trees.feature.shape
-    feature, threshold, left, is_leaf = (values.reshape(-1) for values in trees)
+    num_trees, capacity = trees.words.shape
+    words, numbers = (values.reshape(-1) for values in trees)
 
     def read(values: Array, index: Array) -> Array:
         return values.at[index].get(mode="promise_in_bounds")
 
-    def descend(numbers: Array, inputs: Array) -> Array:
-        base = numbers * np.int32(capacity)
+    def descend(chosen: Array, inputs: Array) -> Array:
+        roots = chosen * np.int32(capacity)
 
-        def level(place: Array) -> Array:
-            right = read(inputs, read(feature, place)) > read(threshold, place)
-            return lax.select(read(is_leaf, place), place, base + read(left, place) + right.astype(jnp.int32))
+        def level(_: Array, place: Array) -> Array:
+            word = read(words, place)
+            is_right = read(inputs, word & np.int32(0xFF)) > read(numbers, place)
+            child = roots + (word >> np.int32(8)) + is_right.astype(jnp.int32)
+            return lax.select(word == 0, place, child)
 
-        return read(threshold, lax.fori_loop(0, MAX_DEPTH, lambda _, place: level(place), base))
+        return read(numbers, lax.fori_loop(0, MAX_DEPTH, level, roots))
 
     def step(node: Node, action: Array) -> tuple[Node, Array]:
         row = jnp.clip(jnp.round(node.y).astype(jnp.int32), 0, HEIGHT - 1)
         column = jnp.clip(jnp.round(node.x).astype(jnp.int32), 0, WIDTH - 1)
         patch = lax.dynamic_slice(screen, (row.astype(jnp.uint32), column.astype(jnp.uint32)), (PATCH, PATCH))
-        numbers = jnp.stack([node.dx, node.dy, action.astype(jnp.float32)])
-        inputs = jnp.concatenate([patch.reshape(-1), numbers])
+        speeds = jnp.stack([node.dx, node.dy, action.astype(jnp.float32)])
+        inputs = jnp.concatenate([patch.reshape(-1), speeds])
         own = action * np.int32(4) + np.arange(4, dtype=np.int32)
         found = descend(jnp.concatenate([own, jnp.full(1, num_trees - 1, jnp.int32)]), inputs)
         move_x, move_y, dx, dy, reward = (take(found, jnp.int32(i)) for i in range(5))
