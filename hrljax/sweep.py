@@ -158,7 +158,7 @@ def _compiled(
         )
         return {"metrics": result.metrics, "greedy_return": result.greedy_return, "steps": result.steps}
 
-    jitted: Any = batch.compile_mapped(run, mapping)
+    jitted: Any = batch.compile_mapped(run, mapping, env.has_loops)
     by_shape: dict[Any, Any] = {}
 
     def for_shapes(shapes: Any) -> Any:

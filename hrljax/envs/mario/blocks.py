@@ -8,7 +8,16 @@ from hrljax.envs.mario.arithmetic import tile_of
 from hrljax.envs.mario.collision import Cell, behavior, cell_index, put_tile, tile_at
 from hrljax.envs.mario.level import PIRANHA
 from hrljax.envs.mario.sprite_list import (
-    Tick, add, choose, fly_off, is_enemy, kill_template, new_sprite, read, when, write,
+    Tick,
+    add,
+    choose,
+    fly_off,
+    is_enemy,
+    kill_template,
+    new_sprite,
+    read,
+    when,
+    write,
 )  # fmt: skip
 from hrljax.envs.mario.state import FLOWER, MUSHROOM, SHELL
 from hrljax.envs.mario.tiles import BREAKABLE, BUMPABLE, EMPTY, PICK_UP, SPECIAL, TILE, USED_BLOCK

@@ -170,7 +170,13 @@ def clear_if(condition: Array, tiles: Array, cell: Cell) -> Array:
 
 
 def move_across(
-    purse: Purse, x: Array, y: Array, dx: Array, shape: Shape, avoids_cliffs: Array | None = None, collects: bool = False
+    purse: Purse,
+    x: Array,
+    y: Array,
+    dx: Array,
+    shape: Shape,
+    avoids_cliffs: Array | None = None,
+    collects: bool = False,
 ) -> tuple[Purse, Outcome]:
     """Moves a thing horizontally.
 

@@ -30,6 +30,12 @@ def keys_of(direction: int, jump: int, speed: int) -> int:
     return {-1: LEFT, 0: 0, 1: RIGHT}[direction] | JUMP * jump | SPEED * speed
 
 
+def held_keys(number: Array, last: Array, keys: Array) -> Array:
+    """The keys held in tick `number` (0 to 4) of a step, after a step with the keys `last` (all int32)."""
+    direction = keys & np.int32(LEFT | RIGHT)
+    return lax.select(number == 0, last, lax.select(number == 1, direction, keys))
+
+
 class Episode(NamedTuple):
     """An episode between two steps. Scalars."""
 
@@ -50,11 +56,16 @@ def _drawn_camera(course: Course, player: Player) -> Array:
     return lax.clamp(jnp.int32(0), shown - SCREEN_WIDTH // 2, jnp.int32(course.num_columns * TILE - SCREEN_WIDTH))
 
 
+def unbegun(course: Course, level: Array | int) -> Episode:
+    """An episode before its first tick. One step without keys from here leads to what `begin` returns."""
+    nothing = jnp.int32(0)
+    return Episode(start(course, level), nothing, nothing, nothing, jnp.int32(-1))
+
+
 def begin(course: Course, level: Array | int, quantum: int | None = None) -> Episode:
     """The first observed moment of an episode: five ticks without keys after the start of a level."""
-    nothing = jnp.int32(0)
-    fresh = Episode(start(course, level), nothing, nothing, nothing, nothing)
-    return _ticks(course, fresh, nothing, jnp.bool_(False), quantum)
+    fresh = unbegun(course, level)._replace(time=jnp.int32(0))
+    return _ticks(course, fresh, jnp.int32(0), jnp.bool_(False), quantum)
 
 
 def advance(
@@ -81,8 +92,7 @@ def _ticks(course: Course, episode: Episode, keys: Array, late: Array, quantum: 
     def one(carry: tuple[Array, World, Array]) -> tuple[Array, World, Array]:
         number, world, _ = carry
         camera = _drawn_camera(course, world.player)
-        direction = keys & np.int32(LEFT | RIGHT)
-        held = lax.select(number == 0, episode.keys, lax.select(number == 1, direction, keys))
+        held = held_keys(number, episode.keys, keys)
         return number + 1, tick(course, world, held, late & (number == 0), quantum), camera
 
     def goes_on(carry: tuple[Array, World, Array]) -> Array:
@@ -95,7 +105,7 @@ def _ticks(course: Course, episode: Episode, keys: Array, late: Array, quantum: 
     unseen = playing & (number == TICKS) & _over(world.player)
     phase = lax.select(unseen, jnp.int32(ENDED), jnp.int32(OBSERVED))
     phase = lax.select(_over(world.player), phase, jnp.int32(PLAYING))
-    return Episode(world, keys, phase, camera, episode.time)
+    return Episode(world, lax.select(playing, keys, episode.keys), phase, camera, episode.time)
 
 
 class Objects(NamedTuple):
@@ -165,4 +175,3 @@ def screen(course: Course, episode: Episode) -> Array:
 def camera_column(episode: Episode) -> Array:
     """Column of the level at the left edge of the observed screen (int32)."""
     return episode.camera // TILE
-

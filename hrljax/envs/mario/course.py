@@ -103,7 +103,7 @@ def start(course: Course, level: Array | int = 0, large: Array | bool = False, f
     size = course.tiles.shape[1]
     zero, nowhere = jnp.int32(0), jnp.int32(-2)
     return World(
-        player=new_player(jnp.bool_(large) | jnp.bool_(fire), fire),
+        player=new_player(jnp.asarray(large, bool) | jnp.asarray(fire, bool), fire),
         sprites=no_sprites(),
         num_sprites=zero,
         tiles=lax.dynamic_slice(jnp.asarray(course.tiles), (level, zero), (1, size)).reshape(size),

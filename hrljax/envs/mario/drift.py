@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hrljax.envs.mario.parity import courses, play
+from hrljax.envs.mario.parity import courses, replay
 from hrljax.envs.mario.quantum import check_quantum
 from hrljax.envs.mario.recordings import MARIO_INTS, Trajectory
 
@@ -32,9 +32,9 @@ def drift(trajectories: Iterable[Trajectory], quantum: int) -> Drift:
     of = courses([game.id for game in games])
     distances, first_away, ends, counts = [], [], [], []
     for game in games:
-        _, record = play(*of[game.id], game, quantum)
+        record = replay(*of[game.id], game, quantum)
         player = record.player
-        apart = np.maximum(*(np.abs(a - b) for a, b in zip((player.x, player.y), game.mario_floats[1:, :2].T, strict=True)))
+        apart = np.abs(np.stack([player.x, player.y], axis=1) - game.mario_floats[1:, :2]).max(axis=1)
         distances.append(apart)
         away = np.flatnonzero(apart >= 16)
         first_away.append(away[0] if len(away) else len(apart))

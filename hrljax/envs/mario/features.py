@@ -101,27 +101,46 @@ def window(
     own_column, own_row = cell(world.player.x, world.player.y)
     left = (own_column if column is None else jnp.asarray(column, jnp.int32)) - np.int32(size // 2)
     top = (own_row if row is None else jnp.asarray(row, jnp.int32)) - np.int32(size // 2)
+    return painted(course, world, left, top, size, size)
+
+
+def painted(course: Course, world: World, left: Array, top: Array, width: int, height: int) -> Array:
+    """Any part of the level as `window` shows it.
+
+    Args:
+        course: the levels.
+        world: the game.
+        left: its first column (int32).
+        top: its first row.
+        width: cells from left to right.
+        height: cells from top to bottom.
+
+    Returns:
+        ``[height, width]`` int32, numbers of `SYMBOL_NAMES`.
+    """
     exit_column = take(jnp.asarray(course.exit_column), world.level)
-    tiles = _tile_symbols(world.tiles, exit_column, left, top, size, course.num_columns)
-    outside = np.int32(size * size)
+    tiles = _tile_symbols(world.tiles, exit_column, left, top, width, height, course.num_columns)
+    outside = np.int32(width * height)
 
     def paint(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         i, cells = carry
         sprites = world.sprites
         x, y = cell(take(sprites.x, i), take(sprites.y, i))
         x, y = x - left, y - top
-        inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
-        place = lax.select(inside, y * np.int32(size) + x, outside)
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        place = lax.select(inside, y * np.int32(width) + x, outside)
         return i + 1, put_row(cells, place, (take(sprites.kind, i) + np.int32(SYMBOL_OF_KIND))[None])
 
     bin_included = jnp.concatenate([tiles, jnp.zeros(1, jnp.int32)])
     _, cells = lax.while_loop(lambda carry: carry[0] < world.num_sprites, paint, (jnp.int32(0), bin_included))
-    return cells[: size * size].reshape(size, size)
+    return cells[: width * height].reshape(height, width)
 
 
-def _tile_symbols(tiles: Array, exit_column: Array, left: Array, top: Array, size: int, num_columns: int) -> Array:
-    """``[size * size]`` int32: symbols without sprites, row by row."""
-    down, right = np.divmod(np.arange(size * size, dtype=np.int32), np.int32(size))
+def _tile_symbols(
+    tiles: Array, exit_column: Array, left: Array, top: Array, width: int, height: int, num_columns: int
+) -> Array:
+    """``[height * width]`` int32: symbols without sprites, row by row."""
+    down, right = np.divmod(np.arange(width * height, dtype=np.int32), np.int32(width))
     columns, rows = left + right, top + down
     inside_columns = jnp.clip(columns, 0, num_columns - 1)
     places = inside_columns * np.int32(HEIGHT) + jnp.clip(rows, 0, HEIGHT - 1)

@@ -9,16 +9,30 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax import xla
 from hrljax.envs.mario import recordings
 from hrljax.envs.mario.competition import (
-    OBSERVED, Episode, Objects, advance, begin, camera_column, keys_of, objects, screen,
+    OBSERVED,
+    Episode,
+    Objects,
+    advance,
+    camera_column,
+    keys_of,
+    objects,
+    screen,
+    unbegun,
 )  # fmt: skip
 from hrljax.envs.mario.course import Course, make_course, start
 from hrljax.envs.mario.generator import generate_level
 from hrljax.envs.mario.level import Level
+from hrljax.envs.mario.native import engine_options
 from hrljax.envs.mario.recordings import (
-    MARIO_FLOATS, MARIO_INTS, SPRITE_FLAG_BITS, SPRITE_FLOATS, SPRITE_INTS, LevelId, Trajectory,
+    MARIO_FLOATS,
+    MARIO_INTS,
+    SPRITE_FLAG_BITS,
+    SPRITE_FLOATS,
+    SPRITE_INTS,
+    LevelId,
+    Trajectory,
 )  # fmt: skip
 from hrljax.envs.mario.sprite_list import KILLED
 from hrljax.envs.mario.state import Player, Sprites, World
@@ -42,7 +56,7 @@ class TickRecord(NamedTuple):
 
     player: Player
     sprites: Sprites
-    counts: dict[str, Array]
+    counts: dict[str, Any]
     tiles: Array
 
 
@@ -68,44 +82,45 @@ def _play(course: Course, world: World, keys: Array, quantum: int | None) -> tup
     return lax.scan(step, world, keys)
 
 
-def _options() -> dict[str, Any] | None:
-    """Compiler options of a native loop over ticks.
-
-    Without region analysis: with it, some loops of the engine read values that were overwritten.
-    """
-    if not xla.native_loops_available():
-        return None
-    return {name: value for name, value in xla.OPTIONS.items() if "region_analysis" not in name}
-
-
 @lru_cache
 def _compiled(quantum: int | None) -> Any:
-    return jax.jit(partial(_play, quantum=quantum), compiler_options=_options())
+    return jax.jit(partial(_play, quantum=quantum), compiler_options=engine_options())
 
 
 def play(
-    course: Course, index: int, trajectory: Trajectory, quantum: int | None = None
-) -> tuple[np.ndarray, TickRecord]:
-    """Plays the keys of a recorded game on level `index` of a course.
+    course: Course, index: int, keys: np.ndarray, *, mode: int = 0, no_enemies: bool = False, quantum: int | None = None
+) -> TickRecord:
+    """Plays a game on level `index` of a course, one tick for each of `keys` ([T], at least 1).
+
+    Args:
+        course: levels, best as JAX arrays.
+        index: number of the level.
+        keys: the keys held in each tick (bits of `hrljax.envs.mario.state`).
+        mode: Mario at the start: 0 small, 1 large, 2 with fire.
+        no_enemies: leaves out all monsters.
+        quantum: see `tick`.
 
     Returns:
-        the tiles before the first tick, and what happened, with NumPy arrays of ``T`` ticks.
+        What happened, as NumPy arrays of `T` ticks.
     """
-    world = start(course, index, trajectory.mode > 0, trajectory.mode == 2)
-    first_tiles = np.asarray(world.tiles)
-    if trajectory.no_enemies:
+    world = start(course, index, mode > 0, mode == 2)
+    if no_enemies:
         world = world._replace(template_states=jnp.full_like(world.template_states, KILLED))
-    count = trajectory.num_ticks
-    keys = np.zeros(-(-count // _CHUNK) * _CHUNK, np.int32)
-    keys[:count] = trajectory.keys
+    padded = np.zeros(-(-len(keys) // _CHUNK) * _CHUNK, np.int32)
+    padded[: len(keys)] = keys
     parts = []
-    for i in range(0, len(keys), _CHUNK):
-        world, record = _compiled(quantum)(course, world, jnp.asarray(keys[i : i + _CHUNK]))
+    for i in range(0, len(padded), _CHUNK):
+        world, record = _compiled(quantum)(course, world, jnp.asarray(padded[i : i + _CHUNK]))
         parts.append(jax.tree.map(np.asarray, record))
-    return first_tiles, jax.tree.map(lambda *chunks: np.concatenate(chunks)[:count], *parts)
+    return jax.tree.map(lambda *chunks: np.concatenate(chunks)[: len(keys)], *parts)
 
 
-def _mario_columns(record: TickRecord, ids: np.ndarray) -> dict[str, np.ndarray]:
+def replay(course: Course, index: int, game: Trajectory, quantum: int | None = None) -> TickRecord:
+    """Plays the keys of a recorded game."""
+    return play(course, index, game.keys, mode=game.mode, no_enemies=game.no_enemies, quantum=quantum)
+
+
+def _mario_columns(record: TickRecord, ids: np.ndarray) -> dict[str, Any]:
     """The recorded columns of Mario, by name."""
     player, counts = record.player, record.counts
     flags = (
@@ -120,31 +135,44 @@ def _bits(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values).view(np.int32) if values.dtype == np.float32 else values.astype(np.int32)
 
 
+class _Differences:
+    """Which ticks of a game differ, and the first difference of each in words."""
+
+    def __init__(self, num_ticks: int):
+        self.wrong = np.zeros(num_ticks, bool)
+        self.notes: dict[int, str] = {}
+
+    def at(self, tick: int, text: str) -> None:
+        self.wrong[tick] = True
+        self.notes.setdefault(tick, text)
+
+    def column(self, what: str, ours: np.ndarray, theirs: np.ndarray) -> None:
+        differs = _bits(ours) != _bits(theirs)
+        self.wrong |= differs
+        if differs.any():
+            t = int(np.argmax(differs))
+            self.notes.setdefault(t, f"{what} is {ours[t]}, not {theirs[t]}")
+
+
 def compare_trajectory(course: Course, index: int, trajectory: Trajectory) -> Verdict:
     """Compares a game tick by tick in all recorded fields of Mario, the sprites and the tiles."""
-    tiles, record = play(course, index, trajectory)
-    count = trajectory.num_ticks
-    wrong = np.zeros(count, bool)
-    notes: dict[int, str] = {}
-
-    def note(ticks: np.ndarray, text: Any) -> None:
-        for t in np.flatnonzero(ticks)[:1]:
-            notes.setdefault(int(t), text(int(t)))
-        wrong[ticks] = True
-
-    _compare_sprites(trajectory, record, note)
-    columns = _mario_columns(record, _carried_ids(trajectory, record))
+    record, tiles = replay(course, index, trajectory), np.asarray(course.tiles[index])
+    differences = _Differences(trajectory.num_ticks)
+    ids = _serial_ids(record)
+    _compare_sprites(trajectory, record, ids, differences)
+    columns = _mario_columns(record, np.array([ids.get(int(serial), -2) for serial in record.player.carried]))
     recorded = dict(zip(MARIO_FLOATS, trajectory.mario_floats[1:].T, strict=True))
     recorded |= dict(zip(MARIO_INTS, trajectory.mario_ints[1:].T, strict=True))
     for name, values in recorded.items():
         if name != "keys":
-            ours = columns[name]
-            note(_bits(ours) != _bits(values), lambda t, a=ours, b=values, n=name: f"Mario's {n} is {a[t]}, not {b[t]}")
-    _compare_tiles(trajectory, tiles, record, note)
-    note(record.counts["overflow"], lambda t: "the places for sprites are used up")
-    first = min(notes, default=None)
-    text = "" if first is None else f"{_name(trajectory)}: after tick {first + 1} {notes[first]}"
-    return Verdict(int(count - wrong.sum()), count, text)
+            differences.column(f"Mario's {name}", columns[name], values)
+    _compare_tiles(trajectory, tiles, record, differences)
+    for t in np.flatnonzero(record.counts["overflow"]):
+        differences.at(int(t), "the places for sprites are used up")
+    first = min(differences.notes, default=None)
+    text = "" if first is None else f"{_name(trajectory)}: after tick {first + 1} {differences.notes[first]}"
+    identical = int(trajectory.num_ticks - differences.wrong.sum())
+    return Verdict(identical, trajectory.num_ticks, text)
 
 
 def _name(case: Any) -> str:
@@ -153,57 +181,46 @@ def _name(case: Any) -> str:
 
 
 def _serial_ids(record: TickRecord) -> dict[int, int]:
-    """Numbers of sprites in the order of their first appearance in the list."""
+    """Numbers of sprites in the order of their first appearance in the list; -1, no sprite, is -1."""
     ids: dict[int, int] = {}
     for count, serials in zip(record.counts["n_sprites"], record.sprites.serial, strict=True):
         for serial in serials[:count][::-1]:
             ids.setdefault(int(serial), len(ids))
-    return ids
+    return ids | {-1: -1}
 
 
-def _carried_ids(trajectory: Trajectory, record: TickRecord) -> np.ndarray:
-    ids = _serial_ids(record) | {-1: -1}
-    return np.array([ids.get(int(serial), -2) for serial in record.player.carried], np.int32)
-
-
-def _compare_sprites(trajectory: Trajectory, record: TickRecord, note: Any) -> None:
-    sprites = record.sprites
-    ids = _serial_ids(record)
-    flags = sprites.flags & sum(SPRITE_FLAG_BITS.values())
-    ours_by_name = {**sprites._asdict(), "flags": flags}
+def _compare_sprites(
+    trajectory: Trajectory, record: TickRecord, ids: dict[int, int], differences: _Differences
+) -> None:
+    ours = record.sprites._asdict()
+    ours["flags"] = ours["flags"] & sum(SPRITE_FLAG_BITS.values())
+    ours["id"] = np.vectorize(lambda serial: ids.get(serial, -2), otypes=[np.int32])(ours["serial"])
     for t, count in enumerate(record.counts["n_sprites"]):
         floats, ints = trajectory.sprites(t + 1)
-        this = np.arange(trajectory.num_ticks) == t
         if len(floats) != count:
-            kinds = sprites.kind[t, :count][::-1]
-            note(this, lambda _, a=kinds, b=ints: f"the kinds of sprites are {a.tolist()}, not {b[:, 0].tolist()}")
+            kinds = ours["kind"][t, :count][::-1].tolist()
+            differences.at(t, f"the kinds of sprites are {kinds}, not {ints[:, 0].tolist()}")
             continue
         recorded = dict(zip(SPRITE_FLOATS, floats.T, strict=True)) | dict(zip(SPRITE_INTS, ints.T, strict=True))
-        for name, values in recorded.items():
-            if name == "id":
-                ours = np.array([ids[int(s)] for s in sprites.serial[t, :count]], np.int32)[::-1]
-            else:
-                ours = ours_by_name[name][t, :count][::-1]
-            differs = _bits(ours) != _bits(values)
+        for name, theirs in recorded.items():
+            mine = ours[name][t, :count][::-1]
+            differs = _bits(mine) != _bits(theirs)
             if differs.any():
                 i = int(np.argmax(differs))
-                kind = ints[i, 0]
-                note(this, lambda _, a=ours, b=values, n=name, i=i, k=kind: f"sprite {i} (kind {k}): {n} is {a[i]}, not {b[i]}")  # fmt: skip
+                differences.at(t, f"sprite {i} (kind {ints[i, 0]}): {name} is {mine[i]}, not {theirs[i]}")
 
 
-def _compare_tiles(trajectory: Trajectory, tiles: np.ndarray, record: TickRecord, note: Any) -> None:
-    events = {}
+def _compare_tiles(trajectory: Trajectory, tiles: np.ndarray, record: TickRecord, differences: _Differences) -> None:
+    events: dict[int, list[tuple[int, int]]] = {}
     for row, x, y, tile in trajectory.tile_events.tolist():
         events.setdefault(row, []).append((x * HEIGHT + y, tile))
     expected = tiles.copy()
-    for t in range(trajectory.num_ticks):
+    for t, ours in enumerate(record.tiles):
         for place, tile in events.get(t + 1, ()):
             expected[place] = tile
-        differs = record.tiles[t] != expected
-        if differs.any():
-            i = int(np.argmax(differs))
-            this = np.arange(trajectory.num_ticks) == t
-            note(this, lambda _, i=i, a=record.tiles[t, i], b=expected[i]: f"the tile at {divmod(i, HEIGHT)} is {a:#04x}, not {b:#04x}")  # fmt: skip
+        if (ours != expected).any():
+            i = int(np.argmax(ours != expected))
+            differences.at(t, f"the tile at {divmod(i, HEIGHT)} is {ours[i]:#04x}, not {expected[i]:#04x}")
 
 
 def courses(ids: Sequence[LevelId]) -> dict[LevelId, tuple[Course, int]]:
@@ -276,25 +293,21 @@ def _play_steps(course: Course, episode: Episode, keys: Array, max_steps: Array)
 
 @lru_cache
 def _compiled_steps() -> Any:
-    return jax.jit(_play_steps, compiler_options=_options())
-
-
-_begin = jax.jit(lambda course, index: begin(course, index))
-_first_record = jax.jit(lambda course, episode: _observe(course, episode))
+    return jax.jit(_play_steps, compiler_options=engine_options())
 
 
 def play_steps(course: Course, index: int, recorded: recordings.Episode) -> StepRecord:
     """Plays the actions of a recorded episode on level `index` of a course, as NumPy arrays."""
-    episode = _begin(course, jnp.int32(index))
-    count = recorded.num_steps
+    episode = unbegun(course, index)
+    count = recorded.num_steps + 1
     keys = np.zeros(-(-count // _CHUNK) * _CHUNK, np.int32)
-    keys[:count] = [keys_of(*action) for action in recorded.actions[1:].tolist()]
-    parts = [jax.tree.map(lambda a: np.asarray(a)[None], _first_record(course, episode))]
+    keys[1:count] = [keys_of(*action) for action in recorded.actions[1:].tolist()]
+    parts = []
     for i in range(0, len(keys), _CHUNK):
         chunk = jnp.asarray(keys[i : i + _CHUNK])
         episode, record = _compiled_steps()(course, episode, chunk, jnp.int32(recorded.max_steps))
         parts.append(jax.tree.map(np.asarray, record))
-    return jax.tree.map(lambda *chunks: np.concatenate(chunks)[: count + 1], *parts)
+    return jax.tree.map(lambda *chunks: np.concatenate(chunks)[:count], *parts)
 
 
 _GOAL, _DEATH, _STEP, _COIN, _KILL = 100.0, -10.0, -0.01, 1.0, 1.0
@@ -343,7 +356,9 @@ def _step_difference(
     theirs = dict(zip(("kind", "winged", "x", "y", "dx", "dy"), (*types.T, *numbers.T), strict=True))
     for name, values in theirs.items():
         own = mine[name].astype(values.dtype)
-        differs = own.view(np.uint8).reshape(count, -1) != np.ascontiguousarray(values).view(np.uint8).reshape(count, -1)
+        differs = own.view(np.uint8).reshape(count, -1) != np.ascontiguousarray(values).view(np.uint8).reshape(
+            count, -1
+        )
         if differs.any():
             i = int(np.argmax(differs.any(axis=1)))
             return f"object {i}: {name} is {own[i]}, not {values[i]}"

@@ -8,7 +8,15 @@ from jax import Array, lax
 
 from hrljax.envs.mario.arithmetic import decayed, factor, is_positive
 from hrljax.envs.mario.collision import (
-    Cell, Purse, Shape, bumped_cell, ceiling_position, floor_position, move_across, move_along, wall_position,
+    Cell,
+    Purse,
+    Shape,
+    bumped_cell,
+    ceiling_position,
+    floor_position,
+    move_across,
+    move_along,
+    wall_position,
 )  # fmt: skip
 from hrljax.envs.mario.sprite_list import choose
 from hrljax.envs.mario.state import JUMP, LEFT, RIGHT, SPEED, Player, player_height
@@ -58,7 +66,9 @@ def steer(player: Player, keys: Array) -> Player:
     away = (-_WALL_JUMP_SPEED_ACROSS * facing).astype(jnp.float32)
     across = lax.select(from_wall, away, lax.select(from_ground, jnp.float32(0), p.x_jump_speed))
     upward = lax.select(from_wall, _WALL_JUMP_SPEED, lax.select(from_ground, _JUMP_SPEED, p.y_jump_speed))
-    time = lax.select(from_wall, jnp.int32(_WALL_JUMP_TIME), lax.select(from_ground, jnp.int32(_JUMP_TIME), p.jump_time))
+    time = lax.select(
+        from_wall, jnp.int32(_WALL_JUMP_TIME), lax.select(from_ground, jnp.int32(_JUMP_TIME), p.jump_time)
+    )
     strength = lax.select(from_wall | from_wall_before, -time, time).astype(jnp.float32)
     zero = opaque_zero(keys.astype(jnp.uint32))
     boost = exact_product(strength, upward, zero)
@@ -234,4 +244,3 @@ def bounce(purse: Purse, player: Player, top: Array) -> Moved:
         invulnerable_time=jnp.int32(1),
     )
     return moved._replace(player=player)
-

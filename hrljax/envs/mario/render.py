@@ -1,6 +1,6 @@
 """Pictures of the platformer: the screen, a whole level, a film of a game.
 
-Needs Pillow, but neither a display nor ffmpeg. The drawings are our own (`render_shapes`). Blocks
+Needs Pillow, but neither a display nor ffmpeg. The drawings are our own (`render_tiles`, `render_figures`). Blocks
 show what they hide: a coin, or an arrow for a power-up.
 """
 
@@ -16,7 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.ground import level_type_of
 from hrljax.envs.mario.level import KIND_MASK, PIRANHA, SCREEN_WIDTH, WINGED, Level, check_level
-from hrljax.envs.mario.render_shapes import ANCHOR, INK, LOOKS, Pose, figure_image, tile_image
+from hrljax.envs.mario.render_figures import ANCHOR, Pose, figure_image
+from hrljax.envs.mario.render_pen import INK
+from hrljax.envs.mario.render_tiles import LOOKS, tile_image
 from hrljax.envs.mario.state import DEAD, FLOWER, FLYING, MUSHROOM, SHELL, Sprites, World
 from hrljax.envs.mario.state import WINGED as WINGED_FLAG
 from hrljax.envs.mario.tiles import HEIGHT, HILL_BODIES, HILL_TOPS, HILL_TOPS_JOINED, TILE
@@ -27,6 +29,9 @@ _BEHIND_TILES = (PIRANHA, MUSHROOM, FLOWER)
 """Kinds that come out of tiles."""
 _RULER = 14
 _STATUS = 13
+_PACK = np.array([1 << 16, 1 << 8, 1], np.uint32)
+_FLAG = 16 * 5
+"""Height of the flag from the top: below every ceiling."""
 
 
 def screen(course: Course, world: World, tile_pixels: int = 32, status: bool = True) -> np.ndarray:
@@ -63,16 +68,19 @@ def screen(course: Course, world: World, tile_pixels: int = 32, status: bool = T
     picture.figure(float(world.player.x), float(world.player.y), _mario_pose(world))
     if status:
         picture.write(_status(world), level_type_of(tiles))
-    return np.asarray(picture.image.convert("RGB"))
+    return np.array(picture.image.convert("RGB"))
 
 
-def level_strip(level: Level, tile_pixels: int = 16, columns: int | None = None) -> np.ndarray:
+def level_strip(
+    level: Level, tile_pixels: int = 16, columns: int | None = None, track: np.ndarray | None = None
+) -> np.ndarray:
     """A whole level with its monsters where they appear, its exit, and a ruler of columns below.
 
     Args:
         level: one level.
         tile_pixels: points per tile, at least 4.
         columns: tiles in a row of the picture; rows are put below each other. All in one row if not given.
+        track: ``[T, 2]`` places (x, y) in the game's pixels, drawn as a line: where Mario went.
 
     Returns:
         ``[H, W, 3]`` uint8.
@@ -99,6 +107,8 @@ def level_strip(level: Level, tile_pixels: int = 16, columns: int | None = None)
         for x, y, pose in monsters:
             if pose.kind != PIRANHA:
                 picture.figure(x, y, pose)
+        if track is not None:
+            picture.track(track)
         picture.blank_right_of(level.num_columns)
         rows += [np.asarray(picture.image.convert("RGB")), _ruler(first, per_row, level.num_columns, tile_pixels)]
     return np.concatenate(rows)
@@ -129,8 +139,11 @@ def save_gif(frames: Iterable[np.ndarray], path: str | PathLike[str], fps: float
         shots.append(frame)
     if not shots:
         raise ValueError("frames must be at least one, got none")
-    samples = np.concatenate(shots[:: max(1, len(shots) // 6)])
-    palette = Image.fromarray(samples).quantize(255, Image.Quantize.MEDIANCUT)
+    # Every colour counts once, however small the thing that has it.
+    points = [shot[::2, ::2].reshape(-1, 3).astype(np.uint32) @ _PACK for shot in shots]
+    colours = np.unique(np.concatenate([np.unique(point) for point in points]))
+    unpacked = (colours[:, None] // _PACK % 256).astype(np.uint8)
+    palette = Image.fromarray(unpacked[None]).quantize(255, Image.Quantize.MEDIANCUT)
     images = [Image.fromarray(shot).quantize(palette=palette, dither=Image.Dither.NONE) for shot in shots]
     target = Path(path)
     unfinished = target.with_name(target.name + ".part")
@@ -175,12 +188,19 @@ class _Picture:
         """A pole with a chequered flag on the left border of a column."""
         draw, unit = ImageDraw.Draw(self.image), self._scale
         x = column * self._tile_pixels - self._left
-        draw.rectangle((x - unit, 12 * unit, x + unit, self.image.height), "#F2F2F2", INK)
+        top = _FLAG * unit
+        draw.rectangle((x - unit, top, x + unit, self.image.height), "#F2F2F2", INK)
         for i in range(4):
             for j in range(3):
-                box = (x + unit + 5 * i * unit, (14 + 5 * j) * unit, x + unit + 5 * (i + 1) * unit, (19 + 5 * j) * unit)
+                left, upper = x + (1 + 5 * i) * unit, top + (2 + 5 * j) * unit
+                box = (left, upper, left + 5 * unit, upper + 5 * unit)
                 draw.rectangle(box, INK if (i + j) % 2 else "#FFFFFF")
-        draw.ellipse((x - 3 * unit, 7 * unit, x + 3 * unit, 13 * unit), "#F0E442", INK)
+        draw.ellipse((x - 3 * unit, top - 5 * unit, x + 3 * unit, top + unit), "#F0E442", INK)
+
+    def track(self, places: np.ndarray) -> None:
+        """A line through places of the game, at the height of Mario's middle."""
+        points = [(x * self._scale - self._left, (y - 6) * self._scale) for x, y in np.asarray(places).tolist()]
+        ImageDraw.Draw(self.image).line(points, "#D55E00", max(1, round(2 * self._scale)), joint="curve")
 
     def blank_right_of(self, column: int) -> None:
         """Leaves nothing where there is no level."""

@@ -167,4 +167,3 @@ def _compact(world: World) -> World:
     start = (jnp.int32(0), jnp.int32(0), world.sprites, world.template_states)
     _, kept, sprites, states = lax.while_loop(lambda carry: carry[0] < count, look_at, start)
     return world._replace(num_sprites=kept, sprites=sprites, template_states=states)
-

@@ -7,17 +7,48 @@ from jax import Array, lax
 from hrljax.envs.mario.arithmetic import decayed, factor, is_positive, select_factor, tile_of, truncated
 from hrljax.envs.mario.blocks import bump
 from hrljax.envs.mario.collision import (
-    Cell, Purse, Shape, behavior, ceiling_position, floor_position, move_across, move_along, probes_across, tile_at,
+    Cell,
+    Purse,
+    Shape,
+    behavior,
+    ceiling_position,
+    floor_position,
+    move_across,
+    move_along,
+    probes_across,
+    tile_at,
     wall_position,
 )  # fmt: skip
 from hrljax.envs.mario.course import Course, template_word, templates_left_of, unpack_template
 from hrljax.envs.mario.level import GOOMBA, KIND_MASK, PIRANHA, RED_KOOPA
 from hrljax.envs.mario.level import WINGED as SPAWNS_WINGED
 from hrljax.envs.mario.sprite_list import (
-    FREE, PRESENT, Tick, add, break_apart, choose, has, new_sprite, read, when, with_flag, write,
+    FREE,
+    PRESENT,
+    Tick,
+    add,
+    break_apart,
+    choose,
+    has,
+    new_sprite,
+    read,
+    when,
+    with_flag,
+    write,
 )  # fmt: skip
 from hrljax.envs.mario.state import (
-    CARRIED, FIREBALL, FLOWER, FLYING, MUSHROOM, ON_GROUND, REMOVED, SHELL, STRIKING, WINGED, Player, Sprites,
+    CARRIED,
+    FIREBALL,
+    FLOWER,
+    FLYING,
+    MUSHROOM,
+    ON_GROUND,
+    REMOVED,
+    SHELL,
+    STRIKING,
+    WINGED,
+    Player,
+    Sprites,
 )  # fmt: skip
 from hrljax.envs.mario.tiles import BLOCKS, HEIGHT, TILE
 from hrljax.numerics import exact_product, opaque_zero, take

@@ -12,8 +12,8 @@ from jax import Array, lax
 
 from hrljax.envs.mario.level import MONSTERS, PIRANHA
 
-MAX_SPRITES = 24
-"""Places for sprites. The recordings of the original never need more than 16."""
+MAX_SPRITES = 32
+"""Places for sprites; at most 32, as sets of places are bits of one word. No recorded game needs more than 16."""
 
 MUSHROOM, FLOWER, FIREBALL, SHELL = range(PIRANHA + 1, PIRANHA + 5)
 """Kinds of sprites besides the monsters of `hrljax.envs.mario.level`, whose numbers 1 to 5 are theirs too."""
@@ -104,17 +104,19 @@ class World(NamedTuple):
     level: Array  # index into the `Course`
 
 
+_FLOATS = ("x", "y", "xa", "ya", "x_old", "y_old")
+
+
 def no_sprites() -> Sprites:
     """Sprites of an empty list."""
-    zero_f = jnp.zeros(MAX_SPRITES, jnp.float32)
-    zero_i = jnp.zeros(MAX_SPRITES, jnp.int32)
-    return Sprites(*[zero_f] * 6, *[zero_i] * 6, jnp.full(MAX_SPRITES, -1, jnp.int32))
+    numbers, counts = jnp.zeros(MAX_SPRITES, jnp.float32), jnp.zeros(MAX_SPRITES, jnp.int32)
+    return Sprites(**{name: numbers if name in _FLOATS else counts for name in Sprites._fields})
 
 
 def new_player(large: Array | bool = False, fire: Array | bool = False) -> Player:
     """Mario at the start of a level: 32 pixels from its left end, falling from the top."""
     zero, off = jnp.float32(0), jnp.bool_(False)
-    large, fire = jnp.bool_(large), jnp.bool_(fire)
+    large, fire = jnp.asarray(large, bool), jnp.asarray(fire, bool)
     count = jnp.int32(0)
     return Player(
         x=jnp.float32(32), y=zero, xa=zero, ya=zero, x_old=jnp.float32(32), y_old=zero,
