@@ -127,7 +127,7 @@ class Store:
         if bool(self.attributes["complete"]) != complete:
             self.attributes = {**self.attributes, "complete": int(complete)}
             with self._explained():
-                write_atomically(self.path / _DESCRIPTION, self._described_settings())
+                write_atomically(self.path / _DESCRIPTION, self._settings())
 
     def _lock(self) -> None:
         try:
@@ -167,28 +167,22 @@ class Store:
 
     def _write_descriptions(self) -> None:
         """Writes all but the chunks, the settings first, and mends what is not as it should be."""
-        if not (self.path / _DESCRIPTION).exists():
-            write_atomically(self.path / _DESCRIPTION, self._described_settings())
-        for name, content in self._described_arrays().items():
+        self._describe()
+        described = {name: content.to_bytes() for name, content in self._memory.items() if name != _DESCRIPTION}
+        for name, content in {_DESCRIPTION: self._settings(), **described}.items():
             file = self.path / name
             if not file.exists() or file.read_bytes() != content:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(file, content)
 
-    def _described_settings(self) -> bytes:
+    def _describe(self) -> None:
+        """Makes the store without its chunks, in memory."""
         import zarr
-
-        memory: dict[str, Any] = {}
-        zarr.create_group(store=zarr.storage.MemoryStore(store_dict=memory), attributes=self.attributes)
-        return memory[_DESCRIPTION].to_bytes()
-
-    def _described_arrays(self) -> dict[str, bytes]:
-        """By file name, the contents of the store's files without the settings and the chunks."""
-        import zarr
+        from zarr.storage import MemoryStore
 
         self._memory.clear()
-        labels = self.labels
-        group = zarr.create_group(store=zarr.storage.MemoryStore(store_dict=self._memory))
+        labels, store = self.labels, MemoryStore(store_dict=self._memory)
+        group = zarr.create_group(store=store)
         for name, variable in labels.variables.items():
             dims = (*labels.dims, *variable.dims)
             shape = (*labels.shape, *variable.shape)
@@ -197,7 +191,14 @@ class Store:
         for name, values in labels.coordinates.items():
             nothing = values.dtype.type(0)
             _array(group, name, values.shape, values.shape, (name,), nothing, describe(name))[...] = values
-        return {key: content.to_bytes() for key, content in self._memory.items() if key != _DESCRIPTION}
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
+            zarr.consolidate_metadata(store)  # xarray looks for it and warns if it is not there
+
+    def _settings(self) -> bytes:
+        """The description of the store as a whole."""
+        description = json.loads(self._memory[_DESCRIPTION].to_bytes())
+        return json.dumps({**description, "attributes": self.attributes}, indent=2).encode()
 
     def _encoded(self, name: str, chunk: range, values: np.ndarray) -> bytes:
         """The content of a chunk file, as Zarr makes it in memory."""
