@@ -13,6 +13,7 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from hrljax.envs.base import TabularEnvironment
+from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.numerics import take
 
 Schedule: TypeAlias = Callable[[Any], Any]
@@ -177,11 +178,17 @@ class Learner(Settings, ABC):
         """
         return tables
 
-    @abstractmethod
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, zero: Array
+    ) -> HierarchicalPolicy:
+        """What the learner would do if it were greedy from now on."""
+        raise NotImplementedError(f"{self.name} does not tell its greedy policy")
+
     def greedy_return(
         self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array
     ) -> Array:
         """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
+        return expected_return(env, self.greedy_policy(env, prepared, tables, zero), params, zero)
 
 
 def tabulated(learner: Learner, num_episodes: int) -> Learner:

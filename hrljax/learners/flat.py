@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import expected_return, flat_policy
+from hrljax.evaluate import HierarchicalPolicy, flat_policy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.numerics import put_row, take_row
@@ -59,11 +59,11 @@ class _OneStep(Learner):
             action = self._choose(_row(tables, step.next_state, prepared), words[0], moment)
         return LearnerState(tables, action)
 
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Array, params: Any, zero: Array
-    ) -> Array:
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Array, zero: Array
+    ) -> HierarchicalPolicy:
         actions = jnp.argmax(tables.reshape(-1, prepared), axis=-1).astype(jnp.int32)
-        return expected_return(env, flat_policy(env, actions), params, zero)
+        return flat_policy(env, actions)
 
     def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
         return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
