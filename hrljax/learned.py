@@ -78,7 +78,7 @@ class Learned:
         wrong = differences({name: dataset.attrs.get(name) for name in names}, names)
         if wrong:
             raise ValueError(f"the dataset is of another sweep: {'; '.join(wrong)}")
-        run = dataset.sel(seed=seed, **at)
+        run = dataset.sel({"seed": seed, **at})
         if not np.isfinite(run["steps"]):
             raise ValueError(f"the run of seed {seed} at {at} is not finished")
         learner = learner.replaced({name: value for name, value in at.items() if not name.startswith(ENV_PREFIX)})

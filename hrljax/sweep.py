@@ -113,16 +113,12 @@ def sweep(
     title = f"{type(learner).__name__} on {env.name}" if progress else None
     with ExitStack() as stack:
         disk = None
-        if store is None and executor is None:
-            length = batch.chunk_length(labels.num_rows, cores or batch.usable_cores(), resolved, chunk_size)
-            chunks = batch.chunks_of(labels.num_rows, length)
-        else:
-            length = batch.portable_chunk_length(labels.num_rows, seeds, resolved, chunk_size)
-            if store is not None:
-                attributes |= checked.identity()
-                length = chunk_size or (attributes_on_disk(Path(store)) or {}).get("chunk_size", length)
-                disk = stack.enter_context(Store(store, labels, attributes, length))
-            chunks = batch.chunks_of(labels.num_rows, length, within=seeds)
+        if store is not None:
+            attributes |= checked.identity()
+            chunk_size = chunk_size or (attributes_on_disk(Path(store)) or {}).get("chunk_size")
+        length, chunks = checked.chunks(cores, chunk_size, portable=store is not None or executor is not None)
+        if store is not None:
+            disk = stack.enter_context(Store(store, labels, attributes, length))
         collected = batch.Collected(labels.num_rows)
         if disk is not None:
             for chunk, values in disk.read(chunks):
@@ -162,6 +158,18 @@ class Checked(NamedTuple):
     key: Array
     mapping: Any  # what the job's mapping means here
     attributes: dict[str, Any]
+
+    def chunks(self, cores: int | None, chunk_size: int | None, portable: bool) -> tuple[int, list[range]]:
+        """The most runs in a chunk, and the runs of each.
+
+        Portable chunks hold one combination of hyper-parameters and are the same on every machine.
+        """
+        count = self.labels.num_rows
+        if portable:
+            length = batch.portable_chunk_length(count, self.labels.seeds, self.mapping, chunk_size)
+            return length, batch.chunks_of(count, length, within=self.labels.seeds)
+        length = batch.chunk_length(count, cores or batch.usable_cores(), self.mapping, chunk_size)
+        return length, batch.chunks_of(count, length)
 
     def rows(self) -> dict[str, Any]:
         """What tells the runs apart; see `hrljax.work.Job`."""
