@@ -88,16 +88,23 @@ def test_a_finished_store_computes_nothing(whole: Path, monkeypatch: pytest.Monk
 
 
 def lives(path: Path, *instants: float) -> list[str]:
-    """How each of a sweep's lives ended; see `tests/kill_sweep.py`."""
+    """How each of a sweep's lives ended; see `tests/kill_sweep.py`. What one has compiled the next ones load."""
+    cache = {
+        "JAX_COMPILATION_CACHE_DIR": str(path.parent / "cache"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
     program = [sys.executable, "-m", "tests.kill_sweep", str(path), *map(str, instants)]
     folder = Path(kill_sweep.__file__).parents[1]
-    return subprocess.run(program, capture_output=True, text=True, cwd=folder, check=True).stdout.split()
+    options = {"capture_output": True, "text": True, "cwd": folder, "check": True, "env": os.environ | cache}
+    return subprocess.run(program, **options).stdout.split()
 
 
 def test_a_sweep_that_is_killed_again_and_again_ends_as_one_that_is_not(whole: Path, tmp_path: Path):
     """Every life ends before some call that changes the disk; the next one goes on from there."""
     draw, path = random.Random(0), tmp_path / "x.zarr"
     instants = [draw.randrange(1, 16) for _ in range(20)]
+    assert lives(tmp_path / "compiled.zarr", 0) == ["finished"]
     assert lives(path, *instants) == ["killed"] * 20
     half = contents(path)
     assert {name for name in half if not name.endswith(".partial")} < set(contents(whole))
