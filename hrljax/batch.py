@@ -51,11 +51,17 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def compile_mapped(function: Callable[[Any], Any], mapping: Literal["native", "vmap"]) -> Callable[[Any], Any]:
-    """A jitted function of a chunk of rows. Build it once for a function and keep it."""
+def compile_mapped(
+    function: Callable[[Any], Any], mapping: Literal["native", "vmap"], nested: bool = False
+) -> Callable[[Any], Any]:
+    """A jitted function of a chunk of rows. Build it once for a function and keep it.
+
+    `nested` says that its steps hold loops of their own, see `hrljax.xla.NESTED_OPTIONS`.
+    """
     if mapping == "vmap":
         return jax.jit(jax.vmap(function))
-    return jax.jit(lambda rows: lax.map(function, rows), compiler_options=dict(xla.OPTIONS))
+    options = xla.NESTED_OPTIONS if nested else xla.OPTIONS
+    return jax.jit(lambda rows: lax.map(function, rows), compiler_options=dict(options))
 
 
 def chunk_length(num_rows: int, cores: int, mapping: Literal["native", "vmap"], chunk_size: int | None) -> int:

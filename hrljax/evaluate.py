@@ -124,7 +124,8 @@ def expected_return(
         """[S]: value of a state in which the root decides."""
         if choice is None:
             return value[0]
-        return expectation([choice[:, task] for task in policy.graph.levels[0]], list(value), zero)
+        children = policy.graph.levels[0]  # the first stacks are those of one subtask each
+        return expectation([choice[:, task] for task in children], list(value[: len(children)]), zero)
 
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         value, _, count = carry

@@ -85,7 +85,11 @@ class Hierarchy:
     @property
     def depth(self) -> int:
         """Number of subtasks on the longest path from the root to a primitive action."""
-        return self._height(self.root.name)
+        return self.height(self.root.name)
+
+    def height(self, name: str) -> int:
+        """Number of subtasks on the longest path from a subtask, itself included, to a primitive action."""
+        return 0 if self.is_primitive(name) else 1 + max(self.height(c) for c in self._by_name[name].children)
 
     def leaf_cover(self) -> tuple[str, ...]:
         """The smallest leaf cover C(H): the subtasks with access to a primitive action (Definition 8)."""
@@ -106,9 +110,6 @@ class Hierarchy:
         """
         names = set(self.leaf_cover() if cover is None else cover)
         return names >= set(self.leaf_cover()) and all(self.reachable_actions(n) == set(self.actions) for n in names)
-
-    def _height(self, name: str) -> int:
-        return 0 if self.is_primitive(name) else 1 + max(self._height(c) for c in self._by_name[name].children)
 
     def _validate(self) -> None:
         if not self.subtasks:

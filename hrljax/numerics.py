@@ -40,10 +40,12 @@ def put_row(table: Array, start: Array, row: Array) -> Array:
 def opaque_zero(word: Array) -> Array:
     """Zero (uint32), computed from any uint32 `word` in a way that no compiler folds.
 
-    The square of an odd number is 1 modulo 8, so its bit 2 is never set.
+    Squares are 0, 1, 4 or 9 modulo 16, so their bits 2 and 3 are never both set. Of single bits
+    that never change LLVM knows (bit 2 of the square of an odd number is one), of pairs it does not.
+    A word that is a constant is folded all the same: give it data, not the counter of a loop.
     """
-    odd = word | np.uint32(1)
-    return (odd * odd) & np.uint32(4)
+    square = word * word
+    return square & (square >> np.uint32(1)) & np.uint32(4)
 
 
 def exact_product(a: Array | np.float32, b: Array, zero: Array) -> Array:

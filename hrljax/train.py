@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax import random
-from hrljax.envs.base import TabularEnvironment, concrete_params
+from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
 from hrljax.numerics import opaque_zero, stage
 
@@ -17,7 +17,7 @@ _BEGIN_STREAM = 2
 _BLOCK = 16
 """Steps whose random words are computed at once."""
 
-Env = TabularEnvironment[Any, Any]
+Env = Environment[Any, Any]
 Evaluate = Callable[[Any], Array]
 
 
@@ -37,7 +37,7 @@ class _Loop(NamedTuple):
     """What changes from step to step. A native loop pays for every entry, so there are few."""
 
     learner: LearnerState
-    state: Array  # int32 number of the environment's state
+    state: Any  # the environment's state; its number (int32) if it is tabular
     time: Array  # int32 steps taken in this episode; when it is over, why
     episode: Any  # int32 episodes finished
     sums: Array  # [1 + events + 1] float32, over the bin: reward, events, truncated episodes
@@ -49,7 +49,9 @@ def _select(condition: Array, these: Any, those: Any) -> Any:
 
 def _zero(loop: _Loop) -> Array:
     """A zero that no compiler folds, even where the key is a constant: it knows nothing of the state."""
-    return opaque_zero(loop.state.astype(jnp.uint32))
+    if isinstance(loop.state, Array):
+        return opaque_zero(loop.state.astype(jnp.uint32))
+    return opaque_zero(lax.bitcast_convert_type(loop.sums[0], jnp.uint32))
 
 
 def _small(loop: _Loop) -> tuple[Any, ...]:
@@ -97,7 +99,7 @@ def train(
     compile it as a native loop.
 
     Args:
-        env: a tabular environment.
+        env: an environment; a tabular one if the learner is.
         learner: what learns; its numbers may be traced.
         key: a single new-style key; consumed.
         num_episodes: at least 1.
@@ -121,12 +123,17 @@ def check_arguments(
     env: object, learner: object, num_episodes: object, bin_size: object, evaluate_every: object
 ) -> None:
     """Raises for what `train` could not run, naming the argument, the value and what is allowed."""
-    if not isinstance(env, TabularEnvironment):
-        raise TypeError(f"env must be a tabular environment such as hrljax.make('Bus'), got {env!r}")
-    if env.num_states >= 1 << (30 - len(env.metrics)):
-        raise ValueError(f"env has {env.num_states} states, too many to number them together with its events")
+    if not isinstance(env, Environment):
+        raise TypeError(f"env must be an environment such as hrljax.make('Bus'), got {env!r}")
     if not isinstance(learner, Learner):
         raise TypeError(f"learner must be a learner such as hrljax.QLearning(), got {learner!r}")
+    if isinstance(env, TabularEnvironment):
+        if env.num_states >= 1 << (30 - len(env.metrics)):
+            raise ValueError(f"env has {env.num_states} states, too many to number them together with its events")
+    elif learner.is_tabular:
+        raise TypeError(f"env must be a tabular environment such as hrljax.make('Bus') for {learner.name}, got {env!r}")
+    elif evaluate_every is not None:
+        raise ValueError(f"evaluate_every needs a tabular environment, got {env!r}")
     check_count("num_episodes", num_episodes)
     if bin_size is not None:
         check_count("bin_size", bin_size)
@@ -148,7 +155,8 @@ class _Trainer:
         self.num_episodes, self.lockstep = num_episodes, lockstep
         self.key = random.key_words(key)
         self.prepared = learner.prepare(env)
-        self.transition = stage(self._transition)
+        self.tabular = env if isinstance(env, TabularEnvironment) else None
+        self.packed_transition = stage(self._packed_transition)
 
     def run(self, bin_size: int, evaluate_every: int | None) -> Run:
         sizes = bin_sizes(self.num_episodes, bin_size)
@@ -261,8 +269,7 @@ class _Trainer:
         """One primitive step, or none if not `live`."""
         own = self.env.num_words
         action = self.learner.action(loop.learner.control)
-        packed, reward = self.transition(loop.state, action, words[:own])
-        next_state, terminated, *events = self._unpacked(packed)
+        next_state, reward, terminated, *events = self._transition(loop.state, action, words[:own])
         time = loop.time + 1
         step = Experience(loop.state, action, reward, next_state, terminated)
         moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
@@ -272,24 +279,32 @@ class _Trainer:
         counted = jnp.stack([reward, *(event.astype(jnp.float32) for event in events), jnp.float32(0)])
         return _Loop(learned, next_state, time, loop.episode, loop.sums + counted)
 
-    def _transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array]:
-        """The environment's step, all but the reward in one int32: what is one result is computed once."""
-        after, reward, terminated, info = self.env.transition(self.env.decode(state), action, words, self.params)
-        packed = self.env.encode(after)
-        for flag in (terminated, *(info[name] for name in self.env.metrics)):
+    def _transition(self, state: Any, action: Array, words: tuple[Array, ...]) -> tuple[Any, ...]:
+        """Next state, reward, whether the episode terminated, and the events."""
+        if self.tabular is None:
+            after, reward, terminated, info = self.env.transition(state, action, words, self.params)
+            return after, reward, terminated, *(info[name] for name in self.env.metrics)
+        packed, reward = self.packed_transition(state, action, words)
+        flags = 1 + len(self.env.metrics)
+        terminated, *events = (((packed >> i) & 1) == 1 for i in reversed(range(flags)))
+        return packed >> flags, reward, terminated, *events
+
+    def _packed_transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array]:
+        """A tabular environment's step, all but the reward in one int32: what is one result is computed once."""
+        env: TabularEnvironment[Any, Any] = self.tabular  # type: ignore[assignment]
+        after, reward, terminated, info = env.transition(env.decode(state), action, words, self.params)
+        packed = env.encode(after)
+        for flag in (terminated, *(info[name] for name in env.metrics)):
             packed = (packed << 1) | flag.astype(jnp.int32)
         return packed, reward
-
-    def _unpacked(self, packed: Array) -> list[Array]:
-        """The number of the next state, and as bool whether the episode terminated and the events."""
-        flags = 1 + len(self.env.metrics)
-        return [packed >> flags, *(((packed >> i) & 1) == 1 for i in reversed(range(flags)))]
 
     def _begin(self, tables: Any, episode: Array, moment: Moment) -> tuple[Any, Array]:
         """The learner's control and the first state of an episode."""
         own = self.env.num_initial_words
         words = random.words(self.key, episode.astype(jnp.uint32), own + self.learner.num_begin_words, _BEGIN_STREAM)
-        first = self.env.encode(self.env.initial(words[:own], self.params))
+        first = self.env.initial(words[:own], self.params)
+        if self.tabular is not None:
+            first = self.tabular.encode(first)
         # The last episode is followed by a beginning that no one uses; schedules end with the run.
         moment = moment._replace(episode=jnp.minimum(episode, self.num_episodes - 1))
         return self.learner.begin(self.prepared, tables, first, words[own:], moment), first

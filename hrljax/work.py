@@ -120,7 +120,7 @@ def _compiler(frozen: _Frozen) -> Callable[[Any], Callable[[Any], Any]]:
             values["greedy_return"] = result.greedy_return
         return values | (dict(named_leaves(result.learned)) if job.keep_learned else {})
 
-    jitted: Any = batch.compile_mapped(run, job.mapping)  # type: ignore[arg-type]
+    jitted: Any = batch.compile_mapped(run, job.mapping, job.env.has_loops)  # type: ignore[arg-type]
     by_shape: dict[str, Any] = {}
     lock = threading.Lock()
 

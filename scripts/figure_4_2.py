@@ -10,6 +10,7 @@ import tyro
 from hrljax import results
 from hrljax.batch import Mapping
 from hrljax.experiments import figure_4_2
+from hrljax.experiments.rows import curves_csv
 from hrljax.train import check_count
 
 
@@ -55,7 +56,9 @@ def main(options: Options) -> int:
         row = rows[-1]
         print(f"{row['name']:>36} {row['mean_return']:8.2f}  {row['seconds']:6.1f} s", file=sys.stderr, flush=True)
     (options.out / "summary.json").write_text(json.dumps({"exact": exact, "curves": rows}, indent=1) + "\n")
-    (options.out / "figure_4_2.csv").write_text(figure_4_2.csv(finished))
+    (options.out / "figure_4_2.csv").write_text(
+        curves_csv((curve.panel, curve.name, dataset) for curve, dataset in finished)
+    )
     figure_4_2.picture(finished, exact).savefig(options.out / "figure_4_2.png", dpi=110)
     print(figure_4_2.table(rows))
     print(f"\noptimum {exact['optimal']['mean']:.2f}, best epsilon-soft policy {exact['epsilon_soft']:.2f}")

@@ -6,9 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hrljax.envs.bus import Bus, BusState
 from hrljax.hierarchy import Hierarchy, Subtask
+from hrljax.learners.task_tables import tabulate
+from hrljax.solvers import joint_process
+from tests.strategies import Problem, ProblemEnvironment, hierarchy_on, problems
 
 MOVES = ("north", "south", "east", "west")
 TAXI_ACTIONS = (*MOVES, "pickup", "putdown")
@@ -150,3 +155,107 @@ def test_the_root_of_the_bus_splits_the_state_into_where_and_how(bus: Bus):
     assert set(environment) == set(range(8))
     assert len(set(zip(planning.tolist(), environment.tolist(), strict=True))) == bus.num_states
     np.testing.assert_array_equal(environment, np.asarray(states.damaged * 4 + states.road))
+
+
+# Generated hierarchies: any valid one is accepted, and whatever is wrong with one subtask is told by its name
+
+
+def subtasks_of(problem: Problem) -> dict[str, Subtask]:
+    return {t.name: t for t in problem.hierarchy.subtasks}
+
+
+def with_child(tasks: dict[str, Subtask], name: str, child: str) -> list[Subtask]:
+    return [Subtask(t.name, (*t.children, child), t.termination) if t.name == name else t for t in tasks.values()]
+
+
+def path_between(hierarchy: Hierarchy, start: str, end: str) -> bool:
+    return start == end or any(
+        path_between(hierarchy, child, end) for child in hierarchy[start].children if not hierarchy.is_primitive(child)
+    )
+
+
+GENERATED = {"deadline": None, "max_examples": 40}
+any_problem = problems(levels=(2, 3, 4), max_states=6)
+
+
+@given(problem=any_problem)
+@settings(**GENERATED)
+def test_a_valid_hierarchy_has_the_depth_cover_and_tables_of_its_parts(problem: Problem):
+    hierarchy = problem.hierarchy
+    assert hierarchy.depth == hierarchy.height("Root")
+    for task in hierarchy.subtasks:
+        assert hierarchy.height(task.name) == 1 + max(map(hierarchy.height, task.children))
+        assert (task.name in hierarchy.leaf_cover()) == bool(set(task.children) & set(hierarchy.actions))
+    tables = tabulate(hierarchy, ProblemEnvironment(problem))
+    np.testing.assert_array_equal(tables.active, problem.active)
+    np.testing.assert_array_equal(tables.goal, problem.goal)
+
+
+@given(problem=any_problem, data=st.data())
+@settings(**GENERATED)
+def test_a_generated_cycle_is_refused_with_the_subtask_on_it(problem: Problem, data: st.DataObject):
+    tasks, hierarchy = subtasks_of(problem), problem.hierarchy
+    lower = data.draw(st.sampled_from(list(tasks)))
+    upper = data.draw(st.sampled_from([name for name in tasks if path_between(hierarchy, name, lower)]))
+    with pytest.raises(ValueError, match=r"subtask '(.+)' can invoke itself: Root -> .*\1$|Root -> Root") as caught:
+        Hierarchy(hierarchy.actions, with_child(tasks, lower, upper))
+    looped = str(caught.value).split(": ")[1].split(" -> ")
+    assert {upper, lower} <= set(looped[looped.index(looped[-1]) :])
+
+
+@given(problem=any_problem, data=st.data())
+@settings(**GENERATED)
+def test_a_generated_orphan_is_refused_by_name(problem: Problem, data: st.DataObject):
+    tasks = list(problem.hierarchy.subtasks)
+    child = data.draw(st.sampled_from([*problem.hierarchy.actions, *(t.name for t in tasks[1:])]))
+    at = data.draw(st.integers(1, len(tasks)))
+    with pytest.raises(ValueError, match="subtask 'Orphan' cannot be reached from the root 'Root'"):
+        Hierarchy(problem.hierarchy.actions, [*tasks[:at], task("Orphan", child), *tasks[at:]])
+
+
+@given(problem=any_problem, data=st.data())
+@settings(**GENERATED)
+def test_generated_bad_children_are_refused_by_name(problem: Problem, data: st.DataObject):
+    tasks = subtasks_of(problem)
+    name = data.draw(st.sampled_from(list(tasks)))
+    again = data.draw(st.sampled_from(tasks[name].children))
+    for child, message in ((again, f"names its child '{again}' twice"), ("Nowhere", "has an unknown child 'Nowhere'")):
+        with pytest.raises(ValueError, match=f"subtask '{name}' {message}"):
+            Hierarchy(problem.hierarchy.actions, with_child(tasks, name, child))
+
+
+@given(problem=problems(levels=(2, 3), max_states=6), data=st.data())
+@settings(deadline=None, max_examples=12)
+def test_a_subtask_that_is_terminated_everywhere_is_refused_by_name(problem: Problem, data: st.DataObject):
+    tasks = subtasks_of(problem)
+    caller = data.draw(st.sampled_from(list(tasks)))
+    action = data.draw(st.sampled_from(problem.hierarchy.actions))
+    idle = Subtask("Idle", (action,), lambda state: jnp.bool_(True))
+    tasks = Hierarchy(problem.hierarchy.actions, [*with_child(tasks, caller, "Idle"), idle])
+    active = np.vstack([problem.active, np.zeros((1, problem.active.shape[1]), np.bool_)])
+    broken = problem._replace(hierarchy=tasks, active=active)
+    with pytest.raises(ValueError, match="subtask 'Idle' is terminated in every state"):
+        tabulate(tasks, ProblemEnvironment(broken))
+    with pytest.raises(ValueError, match="subtask 'Idle' is terminated in every state"):
+        joint_process(tasks, active, broken.model)
+
+
+@given(problem=problems(levels=(2, 3), max_states=6), data=st.data())
+@settings(deadline=None, max_examples=12)
+def test_a_subtask_without_an_applicable_child_is_refused_by_name_and_state(problem: Problem, data: st.DataObject):
+    """Below a new root, Stuck goes on in a state in which nothing that it calls can be invoked."""
+    hierarchy, size = problem.hierarchy, problem.active.shape[1]
+    called = data.draw(st.sampled_from([t.name for t in hierarchy.subtasks[1:]]))
+    state = data.draw(st.integers(0, size - 1))
+    active = np.vstack([np.ones((2, size), np.bool_), problem.active[1:]])
+    active[1 + hierarchy.index(called), state] = False
+    if not active[1 + hierarchy.index(called)].any():
+        return
+    children = {"Top": ("Stuck", *hierarchy.root.children), "Stuck": (called,)}
+    children |= {t.name: t.children for t in hierarchy.subtasks[1:]}
+    tasks = hierarchy_on(hierarchy.actions, children, active, 0 * active)
+    broken = problem._replace(hierarchy=tasks, active=active, goal=0 * active)
+    with pytest.raises(ValueError, match=r"subtask 'Stuck' has no child to invoke in [0-9]+ states, for example"):
+        tabulate(tasks, ProblemEnvironment(broken))
+    with pytest.raises(ValueError, match=r"subtask 'Stuck' \(called by Top\) in state [0-9]+ has no child to invoke"):
+        joint_process(tasks, active, broken.model)

@@ -42,6 +42,17 @@ def test_an_exact_product_is_rounded_before_it_is_added():
     np.testing.assert_array_equal(add(*map(jnp.asarray, TRIPLES), jnp.uint32(12345)), a * b + c)
 
 
+def test_an_exact_product_of_words_in_registers_is_rounded_before_it_is_added():
+    """LLVM knows more of numbers that it has made itself than of numbers that it has read."""
+
+    def add(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
+        words = jax.lax.iota(jnp.uint32, len(a)) ^ (a > b).astype(jnp.uint32)
+        return exact_product(a, b, opaque_zero(words)) + c
+
+    a, b, c = TRIPLES[:, :2_000]
+    np.testing.assert_array_equal(jax.jit(add)(*map(jnp.asarray, (a, b, c))), a * b + c)
+
+
 def test_an_exact_product_in_a_loop_of_scalars_is_rounded_before_it_is_added():
     """The training loop's shape: a recurrence whose last bits depend on every rounding before."""
     a, b, _ = TRIPLES[:, :2_000]

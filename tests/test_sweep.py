@@ -157,7 +157,7 @@ def wrong_type(name: str) -> tuple[dict[str, Any], str]:
         "old key": ({"key": jax.random.PRNGKey(0)}, "key must be a new-style key such as"),
         "rbg key": ({"key": jax.random.key(0, impl="rbg")}, "key must be a threefry2x32 key .*rbg"),
         "text key": ({"key": "0"}, "key must be a new-style key such as .*got '0'"),
-        "no env": ({"env": "Bus"}, "env must be a tabular environment .*got 'Bus'"),
+        "no env": ({"env": "Bus"}, "env must be an environment .*got 'Bus'"),
         "no learner": ({"learner": hrljax.QLearning}, "learner must be a learner .*got <class"),
     }[name]
 

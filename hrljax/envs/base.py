@@ -71,6 +71,8 @@ class Environment(ABC, Generic[State, Params]):
     action_names: ClassVar[tuple[str, ...]]
     metrics: ClassVar[tuple[str, ...]] = ()
     """Names of the events that `transition` counts in its `info`; results report them per episode."""
+    has_loops: ClassVar[bool] = False
+    """Whether `transition` holds loops that change arrays; decides how native loops are compiled."""
     num_words: ClassVar[int]
     """Random words that one `transition` uses."""
     num_initial_words: ClassVar[int]
@@ -97,7 +99,8 @@ class Environment(ABC, Generic[State, Params]):
 
         Returns:
             next state; reward (float32); terminated (bool): the episode ended in the environment
-            itself, not by a limit of steps; info: whether each event in `metrics` happened (bool).
+            itself, not by a limit of steps; info: whether each event in `metrics` happened (bool; or,
+                unless the environment is tabular, how much of it, float32).
         """
 
     @abstractmethod

@@ -6,6 +6,7 @@ from typing import Any
 from hrljax.envs.base import Environment
 from hrljax.envs.bus import Bus
 from hrljax.envs.gridworld import Gridworld
+from hrljax.envs.mario.env import Mario
 from hrljax.envs.maze import Maze
 from hrljax.envs.taxi import Taxi
 
@@ -39,5 +40,5 @@ def make(name: str, **options: Any) -> Any:
     return _ENVIRONMENTS[name](**options)
 
 
-for _environment in (Bus, Gridworld, Maze, Taxi):
+for _environment in (Bus, Gridworld, Mario, Maze, Taxi):
     register(_environment.name, _environment)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from hrljax import plots, stats
 from hrljax.envs.bus import Bus, BusParams
 from hrljax.envs.bus_map import KAO_V1
+from hrljax.experiments.rows import interval_row
 from hrljax.learners.base import Learner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hierarchical import HORDQ, MAXQ
@@ -109,11 +110,6 @@ def run(seeds: int, num_episodes: int, cores: int | None, mapping: Any, key: int
             return
 
 
-def _number(value: xr.DataArray) -> float | None:
-    """A number for JSON, which knows no NaN: one seed has no interval."""
-    return float(value) if np.isfinite(value) else None
-
-
 def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
     """The entry of a curve in ``summary.json``."""
     episodes = int(dataset["episode"].values[-1])
@@ -122,15 +118,14 @@ def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
     bins = []
     for first, last in zip(limits, limits[1:], strict=False):
         interval = stats.mean_interval(stats.episode_range(dataset["return"], first, last))
-        values = {"mean": _number(interval["mean"]), "lo": _number(interval["low"]), "hi": _number(interval["high"])}
-        bins.append({"from": first, "to": last, **values})
+        bins.append({"from": first, "to": last, **interval_row(interval)})
     damage = stats.episode_range(dataset["damage"], limits[-2], episodes).mean()
     seconds = float(dataset.attrs["seconds"])
     return {
         "name": curve.name,
         "panel": curve.panel,
         "mean_return": float(whole["mean"]),
-        "ci95": [_number(whole["low"]), _number(whole["high"])],
+        "ci95": [interval_row(whole)[end] for end in ("lo", "hi")],
         "bins": bins,
         "damage_per_episode": float(damage),
         "truncated_per_episode": float(stats.episode_range(dataset["truncated"], 0, episodes).mean()),
@@ -184,15 +179,3 @@ def picture(results: list[tuple[Curve, xr.Dataset]], values: dict[str, Any]) -> 
             ax.get_legend().remove()
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=5, frameon=False)
     return figure
-
-
-def csv(results: list[tuple[Curve, xr.Dataset]]) -> str:
-    """Mean and 95 % interval of every curve, bin and variable, as comma-separated values."""
-    lines = ["panel,curve,variable,episode,mean,low,high"]
-    for curve, dataset in results:
-        for variable in ("return", "length", "damage", "breakdown", "truncated"):
-            interval = stats.mean_interval(dataset[variable])
-            columns = (interval[name].values for name in ("episode", "mean", "low", "high"))
-            for episode, mean, low, high in zip(*columns, strict=True):
-                lines.append(f'{curve.panel},"{curve.name}",{variable},{episode},{mean:.6g},{low:.6g},{high:.6g}')
-    return "\n".join(lines) + "\n"

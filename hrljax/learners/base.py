@@ -12,7 +12,6 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax.envs.base import TabularEnvironment
 from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.numerics import take
 
@@ -41,6 +40,12 @@ class Settings:
             value = getattr(self, field.name)
             if field.metadata.get("sweepable") and not isinstance(value, Tracer):
                 _check_number(type(self).__name__, field, value)
+
+    def _check_integer(self, option: str, least: int) -> None:
+        """Raises unless a static option is an integer of at least `least`."""
+        value = getattr(self, option)
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**31:
+            raise ValueError(f"{type(self).__name__}: {option} must be an integer of at least {least}, got {value!r}")
 
     def replaced(self, values: Mapping[str, Any]) -> Self:
         """A copy with some fields replaced; ``"root.step_size"`` reaches into a field that has fields."""
@@ -108,19 +113,27 @@ class Moment(NamedTuple):
         """
         if self.lockstep:
             return update(tables, self._replace(live=self.live & condition))
-        # A loop of at most one turn changes its tables in place; a branch would copy them.
-        return lax.while_loop(
-            lambda carry: carry[0], lambda carry: (jnp.bool_(False), update(carry[1], self)), (condition, tables)
-        )[1]
+        return once_if(condition, lambda tables: update(tables, self), tables)
+
+
+def once_if(condition: Array, update: Callable[[Any], Any], tables: Any) -> Any:
+    """``update(tables)`` where `condition` holds, else `tables`.
+
+    A loop of at most one turn changes its tables in place; a branch would copy them. Under `vmap`
+    it takes its turn, for all runs of a batch, when any of them needs it: suits what is rare.
+    """
+    return lax.while_loop(
+        lambda carry: carry[0], lambda carry: (jnp.bool_(False), update(carry[1])), (condition, tables)
+    )[1]
 
 
 class Experience(NamedTuple):
     """One primitive step, as scalars."""
 
-    state: Array  # int32 number of the state
+    state: Any  # int32 number of the state; of an environment that is not tabular, the state
     action: Array  # int32
     reward: Array  # float32
-    next_state: Array  # int32
+    next_state: Any  # as `state`
     terminated: Array  # bool: the next state has no value
 
 
@@ -132,13 +145,15 @@ class LearnerState(NamedTuple):
 
 
 class Learner(Settings, ABC):
-    """A tabular learner, written for one run of one seed: every method is a pure scalar function.
+    """A learner, written for one run of one seed: every method is a pure function.
 
     The training loop calls `begin` at the first state of every episode, and for every step `action`
-    and then `learn`.
+    and then `learn`. A tabular learner is given the numbers of states, another one the states.
     """
 
     name: ClassVar[str]
+    is_tabular: ClassVar[bool] = True
+    """Whether it needs a tabular environment."""
     num_words: ClassVar[int]
     """Random words that one `learn` uses."""
     num_begin_words: ClassVar[int]
@@ -149,12 +164,12 @@ class Learner(Settings, ABC):
         """Episodes between two calls of `plan`; 0 if the learner does not plan."""
         return 0
 
-    def prepare(self, env: TabularEnvironment[Any, Any]) -> Any:
+    def prepare(self, env: Any) -> Any:
         """Tables that the learner needs of the environment, made once on the host."""
         return None
 
     @abstractmethod
-    def init(self, env: TabularEnvironment[Any, Any], prepared: Any) -> LearnerState:
+    def init(self, env: Any, prepared: Any) -> LearnerState:
         """The learner's state before the first episode."""
 
     @abstractmethod
@@ -178,15 +193,11 @@ class Learner(Settings, ABC):
         """
         return tables
 
-    def greedy_policy(
-        self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, zero: Array
-    ) -> HierarchicalPolicy:
+    def greedy_policy(self, env: Any, prepared: Any, tables: Any, zero: Array) -> HierarchicalPolicy:
         """What the learner would do if it were greedy from now on."""
-        raise NotImplementedError(f"{self.name} does not tell its greedy policy")
+        raise NotImplementedError(f"{self.name} does not tell its greedy policy over the numbers of states")
 
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array
-    ) -> Array:
+    def greedy_return(self, env: Any, prepared: Any, tables: Any, params: Any, zero: Array) -> Array:
         """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
         return expected_return(env, self.greedy_policy(env, prepared, tables, zero), params, zero)
 

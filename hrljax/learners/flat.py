@@ -13,60 +13,89 @@ from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerSta
 from hrljax.numerics import put_row, take_row
 
 
+class ActionValueLearner(Learner):
+    """A learner that acts epsilon-greedily in one table of action values."""
+
+    epsilon: Hyperparameter
+    discount: Hyperparameter
+
+    num_words = 1
+    num_begin_words = 1
+
+    def action_values(self, tables: Any) -> Array:
+        """``[S * A]`` float32, state by state."""
+        return tables.values
+
+    def prepare(self, env: TabularEnvironment[Any, Any]) -> int:
+        return env.num_actions
+
+    def begin(self, prepared: int, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
+        return self._choose(row_of(self.action_values(tables), first, prepared), words[0], moment)
+
+    def action(self, control: Any) -> Array:
+        return control
+
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Any, zero: Array
+    ) -> HierarchicalPolicy:
+        actions = jnp.argmax(self.action_values(tables).reshape(-1, prepared), axis=-1).astype(jnp.int32)
+        return flat_policy(env, actions)
+
+    def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
+        return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
+
+    def _target(self, reward: Array, bootstrap: Array, terminated: Array, moment: Moment) -> Array:
+        bootstrap = lax.select(terminated, jnp.float32(0), bootstrap)
+        return td.td_target(reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
+
+
 @dataclass(frozen=True)
-class _OneStep(Learner):
-    """Q-learning and SARSA(0) differ in the value that they bootstrap on, and in nothing else."""
+class StepSizeLearner(ActionValueLearner):
+    """An action-value learner that moves its values by a step size."""
 
     step_size: Hyperparameter = hyperparameter(0.1, 0, 1, low_open=True, schedule=True)
     epsilon: Hyperparameter = hyperparameter(0.1, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
 
-    num_words = 1
-    num_begin_words = 1
+    def _initial_values(self, env: TabularEnvironment[Any, Any]) -> Array:
+        return jnp.full(env.num_states * env.num_actions, jnp.asarray(self.initial_value, jnp.float32))
+
+    def _moved(self, values: Array, pair: Array, target: Array, moment: Moment) -> Array:
+        """The values after that of one (state, action) pair has moved towards a target."""
+        old, step_size = take_row(values, pair, 1), at_episode(self.step_size, moment.episode)
+        return put_row(values, pair, td.increment(old, target[None], step_size, moment.live, moment.zero))
+
+
+@dataclass(frozen=True)
+class _OneStep(StepSizeLearner):
+    """Q-learning and SARSA(0) differ in the value that they bootstrap on, and in nothing else.
+
+    The tables are the action values, the control is the next action.
+    """
+
     _on_policy = False
 
-    def prepare(self, env: TabularEnvironment[Any, Any]) -> int:
-        return env.num_actions
+    def action_values(self, tables: Array) -> Array:
+        return tables
 
     def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
-        """Tables: ``[S * A]`` float32 action values, state by state. Control: the next action."""
-        value = jnp.asarray(self.initial_value, jnp.float32)
-        return LearnerState(jnp.full(env.num_states * prepared, value), jnp.int32(0))
-
-    def begin(self, prepared: int, tables: Array, first: Array, words: tuple[Array, ...], moment: Moment) -> Array:
-        return self._choose(_row(tables, first, prepared), words[0], moment)
-
-    def action(self, control: Array) -> Array:
-        return control
+        return LearnerState(self._initial_values(env), jnp.int32(0))
 
     def learn(
         self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
     ) -> LearnerState:
-        row = _row(state.tables, step.next_state, prepared)
+        row = row_of(state.tables, step.next_state, prepared)
         if self._on_policy:
             action = self._choose(row, words[0], moment)
             bootstrap = td.pick(row, action)
         else:
             action, bootstrap = td.greedy(row)
-        bootstrap = lax.select(step.terminated, jnp.float32(0), bootstrap)
-        target = td.td_target(step.reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
-        at = step.state * prepared + step.action
-        old = take_row(state.tables, at, 1)
-        new = td.increment(old, target[None], at_episode(self.step_size, moment.episode), moment.live, moment.zero)
-        tables = put_row(state.tables, at, new)
+        target = self._target(step.reward, bootstrap, step.terminated, moment)
+        tables = self._moved(state.tables, step.state * prepared + step.action, target, moment)
         if not self._on_policy:
-            action = self._choose(_row(tables, step.next_state, prepared), words[0], moment)
+            action = self._choose(row_of(tables, step.next_state, prepared), words[0], moment)
         return LearnerState(tables, action)
-
-    def greedy_policy(
-        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Array, zero: Array
-    ) -> HierarchicalPolicy:
-        actions = jnp.argmax(tables.reshape(-1, prepared), axis=-1).astype(jnp.int32)
-        return flat_policy(env, actions)
-
-    def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
-        return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
 
 
 @dataclass(frozen=True)
@@ -94,7 +123,7 @@ class SARSA(_OneStep):
     _on_policy = True
 
 
-def _row(q: Array, state: Array, num_actions: int) -> list[Array]:
+def row_of(values: Array, state: Array, num_actions: int) -> list[Array]:
     """The action values of one state as scalars."""
-    row = take_row(q, state * num_actions, num_actions)
+    row = take_row(values, state * num_actions, num_actions)
     return [row[a] for a in range(num_actions)]

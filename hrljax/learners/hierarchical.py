@@ -82,7 +82,8 @@ class _Decomposed(StackLearner):
         # Every row is read before the first is written; with one level there is nothing to keep apart.
         apart = stage(new_row) if len(updates) > 1 else new_row
         rows = [apart(place, target, live) for place, target, live in updates]
-        for (place, _, _), row in zip(updates, rows, strict=True):
+        # From the last level to the first: an unused level rewrites a row of subtask 0 as it was before the step.
+        for (place, _, _), row in reversed(list(zip(updates, rows, strict=True))):
             parts = put_row(parts, place, row)
         return parts
 

@@ -35,6 +35,14 @@ def increment(old: Array, target: Array, step_size: Array, live: Array, zero: Ar
     return old + lax.select(jnp.broadcast_to(live, old.shape), change, jnp.zeros_like(old))
 
 
+def traced_increment(old: Array, change: Array, trace: Array, live: Array, zero: Array) -> Array:
+    """``old + trace * change`` where `live`, else `old`: one pair's share of a TD error; any one shape.
+
+    With a trace of 1 and ``change = step_size * (target - old)`` it is `increment`, bit for bit.
+    """
+    return old + lax.select(live, exact_product(trace, change, zero), jnp.zeros_like(old))
+
+
 def td_target(reward_t: Array, discount_t: Array | np.float32, value_t: Array, zero: Array) -> Array:
     """``r + discount * value``: of Q-learning with the greatest value, of SARSA with the next action's."""
     return reward_t + exact_product(discount_t, value_t, zero)

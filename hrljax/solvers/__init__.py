@@ -1,5 +1,6 @@
-"""Exact solvers of known models."""
+"""Exact solvers of known models, without and with a task hierarchy."""
 
+from hrljax.solvers.decomposition import Decomposed, decompose
 from hrljax.solvers.dynamic_programming import (
     Solution,
     action_values,
@@ -7,6 +8,27 @@ from hrljax.solvers.dynamic_programming import (
     policy_iteration,
     value_iteration,
 )
+from hrljax.solvers.hierarchical import Criterion, Optima, recursively_optimal, solve_hierarchy
+from hrljax.solvers.joint import JointProcess, joint_process
+from hrljax.solvers.joint_optima import Optimum, greedy, optimise
 from hrljax.solvers.model import Model
 
-__all__ = ["Model", "Solution", "action_values", "policy_evaluation", "policy_iteration", "value_iteration"]
+__all__ = [
+    "Criterion",
+    "Decomposed",
+    "JointProcess",
+    "Model",
+    "Optima",
+    "Optimum",
+    "Solution",
+    "action_values",
+    "decompose",
+    "greedy",
+    "joint_process",
+    "optimise",
+    "policy_evaluation",
+    "policy_iteration",
+    "recursively_optimal",
+    "solve_hierarchy",
+    "value_iteration",
+]

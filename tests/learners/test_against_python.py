@@ -1,7 +1,6 @@
 """Learners against the same algorithms in plain Python, scalar by scalar: equal numbers, not close ones."""
 
 import math
-from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -11,12 +10,11 @@ import optax
 import pytest
 
 import hrljax
-from hrljax import random
 from hrljax.envs.bus import Bus, BusParams
 from hrljax.train import bin_sizes, metric_names
+from tests.words import KEY, drawn
 
 F = np.float32
-KEY = jax.random.key(11)
 EPISODES, BIN_SIZE = 60, 7
 PARAMS = BusParams(max_steps=150)
 FLAGS = 6  # bits of a state number below the cell: damaged, three passengers, two sites
@@ -257,14 +255,6 @@ def train_in_python(learner: Any, bus: PythonBus, step_words: list[list[int]], b
         rows.append([counts[0], time, *counts[1:], not terminated])
     starts = np.cumsum([0, *bin_sizes(EPISODES, BIN_SIZE)])[:-1]
     return Curve(np.add.reduceat(np.array(rows), starts), steps)
-
-
-@cache
-def drawn(count: int, num_words: int, stream: int) -> list[list[int]]:
-    """Random words of successive positions of a stream."""
-    key = random.key_words(KEY)
-    at_position = jax.vmap(lambda i: jnp.stack(random.words(key, i, num_words, stream)))
-    return np.asarray(jax.jit(at_position)(jnp.arange(count, dtype=jnp.uint32))).tolist()
 
 
 HIERARCHY = Bus().hierarchy()

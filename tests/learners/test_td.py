@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrljax.learners.td import Parts, epsilon_greedy, greedy, hordq_targets, increment, pick, td_target
+from hrljax.learners.td import (
+    Parts,
+    epsilon_greedy,
+    greedy,
+    hordq_targets,
+    increment,
+    pick,
+    td_target,
+    traced_increment,
+)
 from hrljax.random import WORD_RANGE
 
 ZERO = np.uint32(0)
@@ -33,6 +42,15 @@ def targets(reward: float, discount: float, exited: bool, pseudo_reward: float, 
 def test_increment_moves_a_live_value_by_its_step_size(old, target, step_size, live, new):
     args = jnp.float32(old), jnp.float32(target), jnp.float32(step_size), jnp.bool_(live), ZERO
     assert increment(*args) == new
+
+
+@pytest.mark.parametrize(
+    ("old", "change", "trace", "live", "new"),
+    [(1.0, 3.0, 0.5, True, 2.5), (1.0, 3.0, 0.5, False, 1.0), (-4.0, 4.0, 1.0, True, 0.0), (2.0, 8.0, 0.0, True, 2.0)],
+)
+def test_a_trace_shares_in_a_change(old, change, trace, live, new):
+    args = jnp.float32(old), jnp.float32(change), jnp.float32(trace), jnp.bool_(live), ZERO
+    assert traced_increment(*args) == new
 
 
 def test_increment_of_a_row_takes_scalars_or_rows():

@@ -1,0 +1,121 @@
+"""R-MAX: optimism about every state and action that is not known yet."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.envs.base import TabularEnvironment
+from hrljax.learners.base import Experience, Hyperparameter, LearnerState, Moment, hyperparameter, once_if
+from hrljax.learners.flat import ActionValueLearner, row_of
+from hrljax.models import samples as model
+from hrljax.numerics import exact_product, take
+
+
+class RMaxTables(NamedTuple):
+    """What R-MAX has learned."""
+
+    values: Array  # [S * A] float32: action values of the optimistic model
+    samples: model.Samples  # the first outcomes of every pair
+
+
+@dataclass(frozen=True)
+class RMax(ActionValueLearner):
+    """R-MAX (Brafman and Tennenholtz 2002; thesis ch. 1), with planning of bounded cost.
+
+    A (state, action) pair is known after `known_after` visits. Its model is the mean of their
+    outcomes and stays as it is; every other pair is worth `optimistic_value`. Whenever a pair
+    becomes known, and only then, value iteration improves the action values, from where the last one
+    left them, until a sweep changes none by more than `planning_tolerance`. Runs mapped with `vmap`
+    all plan when one of them does, so native loops are many times faster.
+
+    Attributes:
+        epsilon: probability of a uniformly random action, or a schedule of the episode; R-MAX itself
+            explores by optimism alone.
+        discount: in [0, 1].
+        optimistic_value: of unknown pairs. Should be at least what any policy can earn: ``R_max / (1
+            - discount)`` in the paper, 0 where every reward is a cost.
+        known_after: visits after which a pair is known, at least 1.
+        planning_tolerance: at least 0.
+        planning_sweeps: most Jacobi sweeps over all pairs when one becomes known, at least 1. A bound
+            that is often reached is too low: where nothing is left to become known, values that are
+            still too optimistic are not corrected any more.
+    """
+
+    epsilon: Hyperparameter = hyperparameter(0.0, 0, 1, schedule=True)
+    discount: Hyperparameter = hyperparameter(1.0, 0, 1)
+    optimistic_value: Hyperparameter = hyperparameter(0.0)
+    planning_tolerance: Hyperparameter = hyperparameter(0.01, 0)
+    known_after: int = 5
+    planning_sweeps: int = 500
+
+    name = "R-MAX"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_integer("known_after", 1)
+        self._check_integer("planning_sweeps", 1)
+
+    def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
+        values = jnp.full(env.num_states * prepared, self._optimistic())
+        samples = model.empty(env.num_states, prepared, self.known_after)
+        return LearnerState(RMaxTables(values, samples), jnp.int32(0))
+
+    def learn(
+        self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+    ) -> LearnerState:
+        tables: RMaxTables = state.tables
+        pair = step.state * prepared + step.action
+        num_states = len(tables.values) // prepared
+        missing = self.known_after - take(tables.samples.seen, pair)
+
+        def observed(tables: RMaxTables, live: Array) -> RMaxTables:
+            return tables._replace(samples=model.recorded(tables.samples, pair, step, num_states, live))
+
+        # The last outcome is recorded where it is planned with: with samples that do not change
+        # there, the compiler would move parts of the planning out, to where they run every step.
+        tables = once_if(
+            moment.live & (missing == 1),
+            lambda tables: self._planned(observed(tables, jnp.bool_(True)), prepared, moment.zero),
+            observed(tables, moment.live & (missing > 1)),
+        )
+        action = self._choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
+        return LearnerState(tables, action)
+
+    def _planned(self, tables: RMaxTables, prepared: int, zero: Array) -> RMaxTables:
+        num_pairs = len(tables.values)
+        known = tables.samples.seen >= self.known_after
+        after = tables.samples.after.reshape(-1, num_pairs)
+        share = np.float32(1 / self.known_after)
+        reward = exact_product(share, _sum(list(tables.samples.reward.reshape(-1, num_pairs))), zero)
+        discount = jnp.asarray(self.discount, jnp.float32)
+
+        def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            values, _, count = carry
+            at_states = jnp.concatenate([values.reshape(-1, prepared).max(-1), jnp.zeros(1, jnp.float32)])
+            follows = [at_states.at[states].get(mode="promise_in_bounds") for states in after]
+            mean = exact_product(share, _sum(follows), zero)
+            found = reward + exact_product(jnp.broadcast_to(discount, mean.shape), mean, zero)
+            found = lax.select(known, found, jnp.broadcast_to(self._optimistic(), found.shape))
+            return found, jnp.abs(found - values).max(), count + 1
+
+        tolerance = jnp.asarray(self.planning_tolerance, jnp.float32)
+        values, _, _ = lax.while_loop(
+            lambda carry: (carry[1] > tolerance) & (carry[2] < self.planning_sweeps),
+            sweep,
+            (tables.values, jnp.float32(np.inf), jnp.int32(0)),
+        )
+        return tables._replace(values=values)
+
+    def _optimistic(self) -> Array:
+        return jnp.asarray(self.optimistic_value, jnp.float32)
+
+
+def _sum(terms: list[Array]) -> Array:
+    """The sum, term by term: in one order under every mapping."""
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total

@@ -1,0 +1,198 @@
+"""Regression trees (CART, Breiman et al. 1984) over tile kinds and numbers, fitted and evaluated inside JAX.
+
+A node tests a category, ``input == value``, or a number, ``input < threshold``, and sends rows that
+pass to the left. The test is the one that reduces the variance of the target most; thresholds lie in
+the middle between two values of the data. Thesis 4.2.3 learns Mario's movements and rewards with them.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.models.tree_growth import (
+    EQUALS,
+    INPUT_BITS,
+    LEAF,
+    LEFT_SHIFT,
+    Arrays,
+    Growth,
+    empty_arrays,
+    grow,
+    quantise,
+)  # fmt: skip
+from hrljax.models.tree_inputs import MAX_BINS, MAX_CATEGORIES, MAX_INPUTS, bin_inputs, make_cells
+from hrljax.numerics import put_row, take
+
+MAX_ROWS = 1 << 20
+"""More would leave too few bits for a target (`hrljax.models.tree_growth.quantise`)."""
+
+
+class Trees(NamedTuple):
+    """Binary trees as arrays of C nodes; node 0 is the root, children come in pairs."""
+
+    words: Array  # [..., C] int32: left child, kind of the test, input; 0 is a leaf
+    numbers: Array  # [..., C] float32: what the test compares with, or the leaf's prediction
+
+
+@dataclass(frozen=True)
+class RegressionTree:
+    """How trees are grown.
+
+    Attributes:
+        categories: for every input its number of categories, 0 .. categories - 1, or 0 if it is a number.
+        max_depth: tests on the way from the root to a leaf, at most.
+        min_leaf: rows in a leaf, at least.
+        num_bins: numbers with more distinct values than this are cut into so many bins by rank.
+
+    Raises:
+        TypeError, ValueError: an attribute is no whole number or out of range.
+    """
+
+    categories: tuple[int, ...]
+    max_depth: int = 12
+    min_leaf: int = 5
+    num_bins: int = 64
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.categories, tuple):
+            raise TypeError(f"categories must be a tuple of whole numbers, got {self.categories!r}")
+        if not 1 <= len(self.categories) <= MAX_INPUTS:
+            raise ValueError(f"categories must describe 1 to {MAX_INPUTS} inputs, got {len(self.categories)}")
+        for i, size in enumerate(self.categories):
+            _check_whole(f"categories[{i}]", size, 0, MAX_CATEGORIES)
+        _check_whole("max_depth", self.max_depth, 0, 64)
+        _check_whole("min_leaf", self.min_leaf, 1, MAX_ROWS)
+        _check_whole("num_bins", self.num_bins, 2, MAX_BINS)
+
+    @property
+    def num_inputs(self) -> int:
+        return len(self.categories)
+
+    @cached_property
+    def _growth(self) -> Growth:
+        return Growth(make_cells(self.categories, self.num_bins), self.max_depth, self.min_leaf, self.num_inputs)
+
+    def capacity(self, num_rows: int) -> int:
+        """C: how many nodes a tree of so many rows may have, and two in which growing writes in passing."""
+        leaves = max(1, num_rows // self.min_leaf)
+        return min(2 * leaves - 1, 2 ** (self.max_depth + 1) - 1) + 2
+
+    def fit(self, inputs: Array, targets: Array, count: Array | int | None = None) -> Trees:
+        """Grows one tree.
+
+        Args:
+            inputs: ``[N, F]`` float32, categories as whole numbers.
+            targets: ``[N]`` float32. Fitted as multiples of a power of two, about 2^-15 of the
+                greatest for 20,000 rows, and finer for fewer.
+            count: int32 scalar: only the first so many rows are used; all if not given. Without any
+                row the tree predicts 0.
+
+        Returns:
+            `Trees` of ``[C]``. A deterministic function of the set of the used rows.
+
+        Raises:
+            ValueError: a shape or a concrete value is wrong.
+        """
+        trees = self.fit_groups(inputs, targets[:, None], jnp.zeros(len(inputs), jnp.int32), 1, count)
+        return Trees(trees.words[0, 0], trees.numbers[0, 0])
+
+    def fit_groups(
+        self, inputs: Array, targets: Array, group: Array, num_groups: int, count: Array | int | None = None
+    ) -> Trees:
+        """Grows a tree for every group of rows and every target; bins are found once, from all rows.
+
+        Args:
+            inputs, count: as in `fit`.
+            targets: ``[N, K]`` float32.
+            group: ``[N]`` int32 in ``0 .. num_groups - 1``, such as the action of a transition.
+            num_groups: G, static.
+
+        Returns:
+            `Trees` of ``[G, K, C]``.
+
+        Raises:
+            ValueError: a shape or a concrete value is wrong.
+        """
+        inputs, targets, group = map(jnp.asarray, (inputs, targets, group))
+        count = jnp.int32(len(inputs)) if count is None else jnp.asarray(count)
+        self._check(inputs, targets, group, num_groups, count)
+        num_rows, num_targets = targets.shape
+        count = count.astype(jnp.int32)
+        valid = jnp.arange(num_rows, dtype=jnp.int32) < count
+        binned = bin_inputs(inputs, count, self.categories, self.num_bins)
+        quanta = [quantise(targets[:, k], valid) for k in range(num_targets)]
+        rows, starts = _grouped(group, count, num_groups)
+        capacity = self.capacity(num_rows)
+        arrays = empty_arrays(self._growth, num_groups * num_targets * capacity, num_rows)._replace(rows=rows)
+
+        def one_group(g: Array, arrays: Arrays) -> Arrays:
+            start, n = take(starts, g), take(starts, g + 1) - take(starts, g)
+            for k in range(num_targets):
+                base = (g * np.int32(num_targets) + np.int32(k)) * np.int32(capacity)
+                arrays = grow(self._growth, binned, quanta[k], arrays, base, start, n)
+            return arrays
+
+        arrays = lax.fori_loop(jnp.int32(0), jnp.int32(num_groups), one_group, arrays)
+        shape = (num_groups, num_targets, capacity)
+        return Trees(arrays.words.reshape(shape), arrays.numbers.reshape(shape))
+
+    def _check(self, inputs: Array, targets: Array, group: Array, num_groups: int, count: Array) -> None:
+        pass
+
+
+def predict(trees: Trees, inputs: Array, *index: Array | int) -> Array:
+    """The prediction (float32 scalar) of a tree for one row of inputs.
+
+    Args:
+        trees: one tree, or an array of trees.
+        inputs: ``[F]`` float32.
+        index: which tree (int32 scalars, one for every leading axis of the arrays of `trees`).
+    """
+    words, numbers = (values.reshape(-1) for values in trees)
+    base = jnp.int32(0)
+    for i, size in zip(index, trees.words.shape, strict=False):
+        base = base * np.int32(size) + jnp.asarray(i, jnp.int32)
+    base = base * np.int32(trees.words.shape[-1])
+
+    def descend(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        node, word = carry
+        value = take(inputs, word & np.int32((1 << INPUT_BITS) - 1))
+        number = take(numbers, node)
+        passes = lax.select((word & np.int32(EQUALS)) != 0, value == number, value < number)
+        node = base + (word >> np.int32(LEFT_SHIFT)) + 1 - passes.astype(jnp.int32)
+        return node, take(words, node)
+
+    node, _ = lax.while_loop(lambda carry: carry[1] != LEAF, descend, (base, take(words, base)))
+    return take(numbers, node)
+
+
+def _grouped(group: Array, count: Array, num_groups: int) -> tuple[Array, Array]:
+    """Valid rows sorted by group (int32 ``[N]``), and where each group starts (``[G + 1]``)."""
+    num_rows = len(group)
+    valid = jnp.arange(num_rows, dtype=jnp.int32) < count
+    own = jnp.where(valid, group, np.int32(num_groups))
+    sizes = jnp.sum(own[None, :] == jnp.arange(num_groups, dtype=jnp.int32)[:, None], axis=1, dtype=jnp.int32)
+    starts = [jnp.int32(0)]
+    for g in range(num_groups):
+        starts.append(starts[-1] + sizes[g])
+    starts = jnp.stack(starts)
+
+    def place(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        rows, free = carry
+        g = take(group, i)
+        where = take(free, g)
+        return put_row(rows, where, i[None]), put_row(free, g, (where + 1)[None])
+
+    rows, _ = lax.fori_loop(jnp.int32(0), count, place, (jnp.zeros(num_rows, jnp.int32), starts))
+    return rows, starts
+
+
+def _check_whole(name: str, value: Any, low: int, high: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"{name} must be a whole number, got {value!r}")
+    if not low <= value <= high:
+        raise ValueError(f"{name} must be in {low}..{high}, got {value}")

@@ -1,0 +1,81 @@
+"""Optimal, hierarchically and recursively optimal policies, and what learners reach: tables and pictures."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from hrljax.experiments import optimality
+from hrljax.experiments.rows import curves_csv
+from hrljax.train import check_count
+
+
+@dataclass(frozen=True)
+class Options:
+    """Maze, stochastic Taxi and Bus: three kinds of optimality (exact), and what each learner reached.
+
+    Writes maze.png (the thesis's Figure 2.1), taxi.png (learning curves), task_graph.png (Taxi before and
+    after its leaf cover is made total), optimality.csv and summary.json with "exact" (for each domain:
+    "optimal", "hierarchically_optimal", "recursively_optimal", "pseudo_reward", "inaccessible", "added")
+    and "reached" (for each domain and learner: "online" and "greedy" with "mean", "lo", "hi";
+    "steps_per_second", "seconds", "seeds", "episodes").
+    """
+
+    seeds: int = 200
+    """Runs of each learner."""
+    scale: float = 1.0
+    """Factor of the number of episodes: 2,000 on Maze, 65,536 on Taxi, 20,000 on Bus."""
+    domains: tuple[str, ...] = ("Maze", "Taxi", "Bus")
+    """Which domains."""
+    out: Path = Path("runs/optimality")
+    """Folder for what is written."""
+    cores: int | None = None
+    """Cores to use; all if not given."""
+    key: int = 0
+    """Seed of all random numbers."""
+
+
+def main(options: Options) -> int:
+    check_count("--seeds", options.seeds)
+    check_count("--key", options.key, least=0)
+    if not 0 < options.scale < 1000:
+        raise ValueError(f"--scale must be in (0, 1000), got {options.scale!r}")
+    known = {domain.name: domain for domain in optimality.domains()}
+    for name in options.domains:
+        if name not in known:
+            raise ValueError(f"--domains must be among {', '.join(known)}, got {name!r}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    exact_rows, rows, curves, complete = [], [], [], True
+    optimality.graph_picture().savefig(options.out / "task_graph.png", dpi=110)
+    for domain in (known[name] for name in options.domains):
+        optima = optimality.exact(domain)
+        exact_rows.append(optimality.exact_row(domain, optima))
+        if domain.name == "Maze":
+            optimality.maze_picture(optima).savefig(options.out / "maze.png", dpi=110)
+        found = {}
+        for name, dataset in optimality.run(domain, options.seeds, options.scale, options.cores, options.key):
+            found[name] = dataset
+            curves.append((domain.name, name, dataset))
+            rows.append(optimality.summary_row(domain, name, dataset))
+            print(f"{domain.name}: {name:26} {rows[-1]['seconds']:6.1f} s", file=sys.stderr, flush=True)
+            complete = complete and bool(dataset.attrs["complete"])
+        if domain.name == "Taxi":
+            optimality.taxi_picture(found, optima.optimal.mean).savefig(options.out / "taxi.png", dpi=110)
+        if not complete:
+            break
+    (options.out / "summary.json").write_text(json.dumps({"exact": exact_rows, "reached": rows}, indent=1) + "\n")
+    (options.out / "optimality.csv").write_text(curves_csv(curves))
+    print(optimality.table(exact_rows, rows))
+    print(f"\nwritten to {options.out}")
+    if not complete:
+        print("interrupted: only what was finished is there", file=sys.stderr)
+    return 0 if complete else 130
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(Options)))
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")

@@ -1,0 +1,308 @@
+"""Hierarchies of any depth in plain Python: a list as the stack, one row of a table for each child.
+
+Written from the definitions (thesis 3.1-3.2; Dietterich 2000, Tables 2 and 4; Parr and Russell
+1997), without the library's tables, levels and slots. `tests.learners.test_levels_against_python`
+compares.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hrljax.random import WORD_RANGE
+from tests.words import drawn
+
+F = np.float32
+
+
+@dataclass
+class Graph:
+    """A hierarchy over the numbers of states."""
+
+    children: dict[str, list[Any]]  # of each subtask, the root first: names of subtasks and numbers of actions
+    active: dict[str, np.ndarray]  # [S] bool
+    goal: dict[str, np.ndarray]  # [S] bool
+
+
+class PythonEnv:
+    """What can happen in an environment, looked up by the kinds of a step's words."""
+
+    def __init__(self, env: Any, params: Any):
+        self.env, self.params = env, params
+        cuts = [sorted({math.ceil(float(F(c)) * WORD_RANGE) for c in word}) for word in env.word_cuts(params)]
+        self.cuts = [[cut for cut in word if 0 < cut < WORD_RANGE] for word in cuts]
+        kinds = np.meshgrid(*[np.array([0, *word], np.uint32) for word in self.cuts], indexing="ij")
+        self.shape = kinds[0].shape
+
+        def outcome(state: Any, action: Any, words: Any) -> Any:
+            after, reward, terminated, _ = env.transition(env.decode(state), action, words, params)
+            return env.encode(after), reward, terminated
+
+        grid = np.meshgrid(range(env.num_states), range(env.num_actions), range(kinds[0].size), indexing="ij")
+        state, action, kind = (axis.ravel().astype(np.int32) for axis in grid)
+        found = jax.jit(jax.vmap(outcome))(state, action, tuple(jnp.asarray(k.ravel()[kind]) for k in kinds))
+        self.outcomes = [np.asarray(column).reshape(grid[0].shape) for column in found]
+
+    def first_states(self, words: list[list[int]]) -> list[int]:
+        drawn_words = jnp.asarray(np.array(words, np.uint32))
+        initial = jax.vmap(lambda w: self.env.encode(self.env.initial(tuple(w), self.params)))
+        return np.asarray(initial(drawn_words)).tolist()
+
+    def step(self, state: int, action: int, words: list[int]) -> tuple[int, F, bool]:
+        kinds = [sum(word >= cut for cut in cuts) for word, cuts in zip(words, self.cuts, strict=True)]
+        after, reward, terminated = (
+            column[state, action, int(np.ravel_multi_index(kinds, self.shape))] for column in self.outcomes
+        )
+        return int(after), F(reward), bool(terminated)
+
+
+@dataclass
+class Frame:
+    """A subtask that runs, and the child that it has invoked."""
+
+    task: str
+    state: int = -1  # where the child was invoked
+    child: Any = None
+    discount: F = F(1)  # of the child's steps so far
+
+
+class Decomposed:
+    """HORDQ and MAXQ; a row is Q_r, Q_c, Q_e, Q_p. Q_r of a subtask is found by recursion."""
+
+    def __init__(self, learner: Any, graph: Graph):
+        self.learner, self.graph = learner, graph
+        self.root = next(iter(graph.children))
+        self.root_learns = learner.root is None
+        self.has_exit = learner.name == "HORDQ"
+        num_states = len(graph.active[self.root])
+        self.table = {
+            (task, state, child): self.initial(task)
+            for task, children in graph.children.items()
+            for state in range(num_states)
+            for child in children
+        }
+        self.steps_by_depth: dict[int, int] = {}
+
+    def initial(self, task: str) -> np.ndarray:
+        row = np.zeros(4, F)
+        row[2 if self.has_exit and task != self.root else 1] = self.learner.initial_value
+        return row
+
+    # Values.
+
+    def allowed(self, task: str, state: int) -> list[Any]:
+        return [c for c in self.graph.children[task] if isinstance(c, int) or self.graph.active[c][state]]
+
+    def values(self, task: str, state: int, child: Any) -> np.ndarray:
+        reward, *rest = self.table[task, state, child]
+        if isinstance(child, str):
+            reward = self.until_end(child, state)
+        return np.array([reward, *rest], F)
+
+    def worth(self, values: np.ndarray) -> F:
+        reward, completion, after_exit, pseudo = values
+        return reward + completion + after_exit + pseudo if self.has_exit else reward + completion + pseudo
+
+    def best(self, task: str, state: int) -> Any:
+        allowed = self.allowed(task, state)
+        return allowed[int(np.argmax([self.worth(self.values(task, state, child)) for child in allowed]))]
+
+    def until_end(self, task: str, state: int) -> F:
+        values = self.values(task, state, self.best(task, state))
+        return values[0] + values[1]
+
+    # Execution.
+
+    def choose(self, task: str, state: int, word: int) -> Any:
+        if word < math.ceil(float(F(self.learner.epsilon)) * WORD_RANGE):
+            allowed = self.allowed(task, state)
+            return allowed[word % len(allowed)]
+        return self.best(task, state)
+
+    def root_choice(self, state: int, word: int) -> str:
+        """Of a root that does not learn."""
+        allowed = self.allowed(self.root, state)
+        return allowed[word % len(allowed)]
+
+    def descend(self, stack: list[Frame], state: int, words: list[int]) -> None:
+        """The subtask on top chooses, and what it chooses, down to an action; one word for each level."""
+        while True:
+            top, level = stack[-1], len(stack) - self.root_learns
+            top.state, top.child, top.discount = state, self.choose(top.task, state, words[level]), F(1)
+            if isinstance(top.child, int):
+                self.action = top.child
+                return
+            stack.append(Frame(top.child))
+
+    def begin(self, state: int, words: list[int]) -> None:
+        self.stack = [Frame(self.root if self.root_learns else self.root_choice(state, words[0]))]
+        self.descend(self.stack, state, words)
+
+    def learn(self, state: int, reward: F, after: int, terminated: bool, words: list[int]) -> None:
+        self.steps_by_depth[len(self.stack)] = self.steps_by_depth.get(len(self.stack), 0) + 1
+        ran = self.stack
+        for frame in ran:
+            frame.discount = frame.discount * F(self.learner.discount)
+        stays = next(
+            (
+                depth
+                for depth, frame in enumerate(ran)
+                if not (self.root_learns and depth == 0) and not self.graph.active[frame.task][after]
+            ),
+            len(ran),
+        )
+        survivors = [Frame(**vars(frame)) for frame in ran[:stays]]
+        if not survivors and not terminated:
+            survivors = [Frame(self.root_choice(after, words[0]))]
+        follows = np.zeros(4, F)
+        on_policy = getattr(self.learner, "bootstrap", "greedy") == "on_policy"
+        if not terminated:
+            takes_over = survivors[-1]
+            if on_policy:
+                self.descend(survivors, after, words)
+                child = takes_over.child
+            else:
+                child = self.best(takes_over.task, after)
+            follows = self.values(takes_over.task, after, child)
+        new = {}
+        for depth, frame in enumerate(ran):
+            child_ended = depth >= stays - 1 or depth == len(ran) - 1 or terminated
+            if child_ended:
+                new[frame.task, frame.state, frame.child] = self.updated(
+                    frame, reward, after, depth >= stays, follows, depth == len(ran) - 1
+                )
+        self.table |= {place: row for place, row in new.items() if row is not None}
+        if not terminated and not on_policy:
+            self.descend(survivors, after, words)
+        self.stack = survivors
+
+    def updated(
+        self, frame: Frame, reward: F, after: int, exited: bool, follows: np.ndarray, on_top: bool
+    ) -> np.ndarray | None:
+        """The row of a child that has ended, its parent with it or not; None if nothing is learned of it."""
+        next_r, next_c, next_e, next_p = follows
+        target = np.zeros(4, F)
+        if isinstance(frame.child, int):
+            target[0] = reward
+        if exited:
+            target[2] = frame.discount * (next_r + next_c + next_e)
+            target[3] = F(self.learner.pseudo_reward) * F(self.graph.goal[frame.task][after])
+        else:
+            target[1:] = frame.discount * np.array([next_r + next_c, next_e, next_p])
+        old = self.table[frame.task, frame.state, frame.child]
+        return old + F(self.learner.step_size) * (target - old)
+
+    # What greedy behaviour earns.
+
+    def completed(self, stack: tuple[str, ...], state: int) -> tuple[tuple[str, ...], int]:
+        """The stack that takes the next action, and the action, after the subtask on top has decided."""
+        while isinstance(child := self.best(stack[-1], state), str):
+            stack = (*stack, child)
+        return stack, child
+
+    def greedy_return(self, env: "PythonEnv") -> float:
+        """By backward induction over (stack, state) pairs, in float64."""
+        model, first = env.env.model(env.params), env.env.initial_distribution(env.params)
+        states, value = range(len(first)), {}
+
+        def entering(state: int) -> float:
+            if self.root_learns:
+                return value.get(((self.root,), state), 0.0)
+            children = self.allowed(self.root, state)
+            return sum(value.get(((child,), state), 0.0) for child in children) / len(children)
+
+        def arriving(stack: tuple[str, ...], state: int) -> float:
+            for depth, task in enumerate(stack):
+                if not (self.root_learns and depth == 0) and not self.graph.active[task][state]:
+                    stack = stack[:depth]
+                    break
+            return value.get((stack, state), 0.0) if stack else entering(state)
+
+        bottoms = [(self.root,)] if self.root_learns else [(child,) for child in self.graph.children[self.root]]
+        stacks = {self.completed(b, s)[0][:depth] for b in bottoms for s in states for depth in (1, 2, 3, 4)}
+        plans = {(stack, state): self.completed(stack, state) for stack in stacks for state in states}
+        while more := {stack[:depth] for stack, _ in plans.values() for depth in range(1, len(stack) + 1)} - stacks:
+            stacks |= more
+            plans |= {(stack, state): self.completed(stack, state) for stack in more for state in states}
+        for _ in range(env.params.max_steps):
+            updated = {}
+            for (stack, state), (runs, action) in plans.items():
+                outcomes = zip(*(column[state, action] for column in model), strict=True)
+                updated[stack, state] = sum(
+                    probability * (reward + (0.0 if over else arriving(runs, int(after))))
+                    for after, probability, reward, over in outcomes
+                    if probability
+                )
+            value = updated
+        return float(sum(p * entering(s) for s, p in enumerate(first) if p))
+
+    # Comparison.
+
+    def compare(self, learned: Any) -> None:
+        """Every number, also of what was never visited."""
+        learners = [task for task in self.graph.children if self.root_learns or task != self.root]
+        width = max(len(self.graph.children[task]) for task in learners)
+        found = np.asarray(learned.parts).reshape(len(learners), -1, width, len(self.initial(self.root)))
+        for number, task in enumerate(learners):
+            for slot, child in enumerate(self.graph.children[task]):
+                rows = np.stack([self.table[task, state, child] for state in range(found.shape[1])])
+                used = self.used_parts()
+                np.testing.assert_array_equal(
+                    found[number, :, slot][:, used], rows[:, used], err_msg=f"{task}, {child}"
+                )
+
+    def used_parts(self) -> list[int]:
+        return [0, 1, 2, 3] if self.has_exit else [0, 1, 3]  # MAXQ-Q reads no Q_e
+
+
+class Machines(Decomposed):
+    """HAMQ: one number for each choice; that of a subtask is the best of its own choices."""
+
+    def initial(self, task: str) -> np.ndarray:
+        return np.array([self.learner.initial_value], F)
+
+    def values(self, task: str, state: int, child: Any) -> np.ndarray:
+        if isinstance(child, str):
+            return self.values(child, state, self.best(child, state))
+        return self.table[task, state, child]
+
+    def worth(self, values: np.ndarray) -> F:
+        return values[0]
+
+    def updated(
+        self, frame: Frame, reward: F, after: int, exited: bool, follows: np.ndarray, on_top: bool
+    ) -> np.ndarray | None:
+        if not on_top:
+            return None
+        old = self.table[frame.task, frame.state, frame.child]
+        target = reward + F(self.learner.discount) * follows[:1]
+        return old + F(self.learner.step_size) * (target - old)
+
+    def used_parts(self) -> list[int]:
+        return [0]
+
+
+def train_in_python(
+    make: Callable[[Any, Any], Any], learner: Any, graph: Any, env: PythonEnv, episodes: int
+) -> tuple[Any, int, int]:
+    """A program after so many episodes, its steps, and how many episodes were truncated."""
+    program, own = make(learner, graph), env.env.num_words
+    begin_words = drawn(episodes, env.env.num_initial_words + learner.num_begin_words, 2)
+    step_words = drawn(episodes * env.params.max_steps, own + learner.num_words, 0)
+    firsts = env.first_states([words[: env.env.num_initial_words] for words in begin_words])
+    steps = truncated = 0
+    for episode, state in enumerate(firsts):
+        program.begin(state, begin_words[episode][env.env.num_initial_words :])
+        time, terminated = 0, False
+        while not terminated and time < env.params.max_steps:
+            words = step_words[steps]
+            after, reward, terminated = env.step(state, program.action, words[:own])
+            program.learn(state, reward, after, terminated, words[own:])
+            state, time, steps = after, time + 1, steps + 1
+        truncated += not terminated
+    return program, steps, truncated

@@ -1,0 +1,141 @@
+"""Learners over hierarchies of several levels against plain Python: equal numbers, not close ones."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hrljax
+from hrljax.hierarchy import Hierarchy, Subtask
+from tests.learners.python_levels import Decomposed, Graph, Machines, PythonEnv, train_in_python
+from tests.words import KEY
+
+EPISODES = 40
+
+TAXI = hrljax.make("Taxi", stochastic=True, rules="dietterich")
+GRID = hrljax.make("Gridworld", map="S....P\n.S.#..\n..S...\nP....G\n")
+"""Small, with slips, a goal and two pits."""
+
+
+def grid_tasks(root_children: list[Any]) -> Graph:
+    """Chains of one to four subtasks; Shared has three parents, and cannot be invoked everywhere."""
+    row, column = np.divmod(np.arange(24), 6)
+    north, east, south, west = range(4)
+    children = {
+        "Root": root_children,
+        "Outer": ["Inner", "Shared", east],
+        "Inner": ["Shared", south],
+        "Shared": [west, east, north, south],
+    }
+    active = {
+        "Root": row >= 0,
+        "Outer": column < 4,
+        "Inner": (row < 3) & (column < 5),
+        "Shared": (column % 3 != 2) | (column == 5),
+    }
+    goal = {"Outer": column >= 4, "Inner": row == 3, "Shared": (column % 3 == 2) & (row >= 1), "Root": row < 0}
+    return Graph(children, active, goal)
+
+
+def grid_hierarchy(graph: Graph) -> Hierarchy:
+    def at(cells: np.ndarray) -> Callable[[Any], jax.Array]:
+        return lambda state: jnp.asarray(cells)[state.cell]
+
+    subtasks = []
+    for name, children in graph.children.items():
+        names = tuple(child if isinstance(child, str) else GRID.action_names[child] for child in children)
+        subtasks.append(Subtask(name, names, at(~graph.active[name]), at(graph.goal[name])))
+    return Hierarchy(GRID.action_names, subtasks)
+
+
+def taxi_tasks() -> Graph:
+    number = np.arange(500)
+    row, column, passenger, destination = number // 100, number // 20 % 5, number // 4 % 5, number % 4
+    moves, pickup, putdown = [0, 1, 2, 3], 4, 5
+    depots = {"R": (0, 0), "G": (0, 4), "Y": (4, 0), "B": (4, 3)}
+    at = {f"Navigate({name})": (row == r) & (column == c) for name, (r, c) in depots.items()}
+    aboard = passenger == 4
+    return Graph(
+        children={"Root": ["Get", "Put"], "Get": [pickup, *at], "Put": [putdown, *at], **dict.fromkeys(at, moves)},
+        active={"Root": number >= 0, "Get": ~aboard, "Put": aboard, **{name: ~there for name, there in at.items()}},
+        goal={"Root": number < 0, "Get": aboard, "Put": passenger == destination, **at},
+    )
+
+
+@dataclass
+class Domain:
+    env: Any
+    params: Any
+    hierarchy: Hierarchy
+    tasks: Graph
+    depths: set[int]  # how many learning subtasks can be on the stack
+
+
+def grid_domain(root_children: list[Any], depths: set[int]) -> Domain:
+    tasks = grid_tasks(root_children)
+    params = GRID.default_params._replace(slip_probability=0.4, max_steps=12)
+    return Domain(GRID, params, grid_hierarchy(tasks), tasks, depths)
+
+
+DOMAINS = {
+    "taxi": Domain(TAXI, TAXI.default_params._replace(max_steps=150), TAXI.hierarchy(), taxi_tasks(), {2, 3}),
+    "grid": grid_domain(["Outer", 0, "Shared"], {1, 2, 3, 4}),
+    "grid under a random root": grid_domain(["Outer", "Inner", "Shared"], {1, 2, 3}),
+}
+NUMBERS = {"step_size": 0.5, "epsilon": 0.5, "discount": 0.93, "initial_value": -10.0}
+
+
+def hordq(domain: str, **options: Any) -> hrljax.HORDQ:
+    return hrljax.HORDQ(DOMAINS[domain].hierarchy, pseudo_reward=4.0, **options, **NUMBERS)
+
+
+CASES = {
+    "HORDQ, taxi": hordq("taxi"),
+    "HORDQ, grid": hordq("grid"),
+    "HORDQ, grid under a random root": hordq("grid under a random root", root=hrljax.RandomRoot()),
+    "HORDQ on policy, grid": hordq("grid", bootstrap="on_policy"),
+    "MAXQ, taxi": hrljax.MAXQ(DOMAINS["taxi"].hierarchy, pseudo_reward=7.0, **NUMBERS),
+    "MAXQ0, grid": hrljax.MAXQ0(DOMAINS["grid"].hierarchy, **NUMBERS),
+    "HAMQ, taxi": hrljax.HAMQ(DOMAINS["taxi"].hierarchy, **NUMBERS),
+    "HAMQ, grid": hrljax.HAMQ(DOMAINS["grid"].hierarchy, **NUMBERS),
+}
+
+
+@cache
+def outcomes(domain: str) -> PythonEnv:
+    return PythonEnv(DOMAINS[domain].env, DOMAINS[domain].params)
+
+
+@cache
+def both(name: str) -> tuple[hrljax.Run, Any, int, int]:
+    """A run, the plain program after the same run, its steps and its truncated episodes."""
+    learner, domain = CASES[name], name.split(", ")[1]
+    where = DOMAINS[domain]
+    run = jax.jit(lambda key: hrljax.train(where.env, learner, key, EPISODES, params=where.params))(KEY)
+    program = Machines if isinstance(learner, hrljax.HAMQ) else Decomposed
+    return run, *train_in_python(program, learner, where.tasks, outcomes(domain), EPISODES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_gives_the_numbers_of_plain_python(name: str):
+    run, python, steps, truncated = both(name)
+    assert int(run.steps) == steps
+    assert 0 < truncated < EPISODES
+    assert set(python.steps_by_depth) == DOMAINS[name.split(", ")[1]].depths
+    python.compare(run.learned)
+
+
+@pytest.mark.parametrize("name", ["HORDQ, grid", "HAMQ, grid", "HORDQ, grid under a random root"])
+def test_greedy_behaviour_has_the_value_that_plain_python_finds(name: str):
+    learner, domain = CASES[name], name.split(", ")[1]
+    env, params = DOMAINS[domain].env, DOMAINS[domain].params
+    run, python, _, _ = both(name)
+    found = learner.greedy_return(env, learner.prepare(env), run.learned, params, np.uint32(0))
+    assert found.dtype == jnp.float32
+    assert float(found) == pytest.approx(python.greedy_return(outcomes(domain)), abs=1e-4)
+    assert -90 < float(found) < -3
