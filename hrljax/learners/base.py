@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
+from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.numerics import take
 
 Schedule: TypeAlias = Callable[[Any], Any]
@@ -192,9 +193,13 @@ class Learner(Settings, ABC):
         """
         return tables
 
+    def greedy_policy(self, env: Any, prepared: Any, tables: Any, zero: Array) -> HierarchicalPolicy:
+        """What the learner would do if it were greedy from now on."""
+        raise NotImplementedError(f"{self.name} does not tell its greedy policy over the numbers of states")
+
     def greedy_return(self, env: Any, prepared: Any, tables: Any, params: Any, zero: Array) -> Array:
         """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
-        raise NotImplementedError(f"{self.name} has no exact evaluation")
+        return expected_return(env, self.greedy_policy(env, prepared, tables, zero), params, zero)
 
 
 def tabulated(learner: Learner, num_episodes: int) -> Learner:

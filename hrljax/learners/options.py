@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import HierarchicalPolicy, expected_return
+from hrljax.evaluate import HierarchicalPolicy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.learners.option_set import Options
@@ -134,15 +134,15 @@ class OptionQ(Learner):
         )
         return LearnerState(q, control)
 
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: OptionTables, tables: Array, params: Any, zero: Array
-    ) -> Array:
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: OptionTables, tables: Array, zero: Array
+    ) -> HierarchicalPolicy:
         q = tables.reshape(-1, prepared.num_options).T
         can_begin = jnp.asarray(prepared.initiation)
         called = jnp.argmax(jnp.where(can_begin, q, jnp.full_like(q, -np.inf)), axis=0).astype(jnp.int32)
         inside = np.maximum(self.options.policy, 0)
         slots = jnp.concatenate([called[None], jnp.asarray(inside)])
-        return expected_return(env, HierarchicalPolicy(prepared.graph, slots, None), params, zero)
+        return HierarchicalPolicy(prepared.graph, slots, None)
 
     def _called(self, prepared: OptionTables, q: Array, state: Array, word: Array, moment: Moment) -> Running:
         """The option that is called in a state."""
