@@ -173,8 +173,8 @@ class Learner(Settings, ABC):
         """The learner's state before the first episode."""
 
     @abstractmethod
-    def begin(self, prepared: Any, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
-        """Starts an episode at a state (its number, int32): the new `control`."""
+    def begin(self, prepared: Any, tables: Any, first: Any, words: tuple[Array, ...], moment: Moment) -> Any:
+        """Starts an episode at a state: the new `control`."""
 
     @abstractmethod
     def action(self, control: Any) -> Array:
