@@ -112,7 +112,7 @@ def run(domain: Domain, seeds: int, scale: float, cores: int | None, key: int) -
             seeds=seeds,
             num_episodes=bin_size * _BINS,
             bin_size=bin_size,
-            evaluate_every=_BINS // 8,
+            evaluate_every=_BINS,
             params=domain.params,
             cores=cores,
             key=key,
