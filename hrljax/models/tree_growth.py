@@ -233,11 +233,13 @@ def _count(
         row = take(arrays.rows, i)
         quantum = take(quanta.values, row)
         own = take_row(binned.cells, row * np.int32(f), f).astype(jnp.int32) + offset
+
         def one(k, h):
             c = take(own, k)
             h = put_row(h, c, take_row(h, c, 1) + 1)
             c = c + np.int32(s)
             return put_row(h, c, take_row(h, c, 1) + quantum)
+
         return lax.fori_loop(jnp.int32(0), jnp.int32(f), one, histograms)
 
     return arrays._replace(histograms=lax.fori_loop(start, start + n, row, arrays.histograms))
