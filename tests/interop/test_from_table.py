@@ -91,7 +91,7 @@ def test_q_learning_learns_the_frozen_lake():
     assert (env.name, env.default_params.max_steps) == ("FrozenLake-v1", 100)
     learner = hrl.QLearning(step_size=0.1, epsilon=0.2, discount=0.99, initial_value=1.0)
     run = jax.jit(lambda key: hrl.train(env, learner, key, 6000, evaluate_every=100, bin_size=30))(jax.random.key(0))
-    assert float(run.greedy_return[-1]) > 0.68  # 0.7441 is the most within 100 steps
+    assert float(run.greedy_return[-1]) > 0.7  # 0.7402 with the policy that is optimal without a limit
     assert float(run.metrics["return"][0]) < 0.1
 
 
@@ -147,15 +147,11 @@ GOOD = {0: {0: [(0.5, 1, 1.0, False), (0.5, 0, 0.0, False)]}, 1: {0: [(1.0, 0, 2
 
 def test_rows_of_different_lengths_by_hand():
     env = from_table(Tiny(GOOD), initial=[1.0, 0.0])
-    half, full = np.uint32(1 << 23), np.uint32((1 << 24) - 1)
-    for state, word, expected in (
-        (0, half - 1, (0, 0.0, False)),
-        (0, half, (1, 1.0, False)),
-        (1, full, (0, 2.0, True)),
-    ):
-        after, reward, ends, _ = env.transition(
-            env.decode(jnp.int32(state)), jnp.int32(0), (jnp.uint32(word),), env.default_params
-        )
+    outcome = jax.jit(lambda state, word: env.transition(env.decode(state), jnp.int32(0), (word,), env.default_params))
+    half = 1 << 23
+    cases = {(0, half - 1): (0, 0.0, False), (0, half): (1, 1.0, False), (1, 2 * half - 1): (0, 2.0, True)}
+    for (state, word), expected in cases.items():
+        after, reward, ends, _ = outcome(jnp.int32(state), jnp.uint32(word))
         assert (int(after.number), float(reward), bool(ends), int(after.time)) == (*expected, 1)
 
 
