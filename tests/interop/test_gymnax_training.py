@@ -27,12 +27,16 @@ def bus(step_values: Any) -> tuple[Any, Any]:
     return adapter.make(SMALL, one_hot=True, step_values=step_values, params={"max_steps": 200})
 
 
-def test_ppo_learns_and_does_the_same_with_either_interface():
-    config, key = Config(num_updates=20), jax.random.PRNGKey(0)
-    old, new = (np.asarray(jax.jit(make_train(config, *bus(values)))(key)) for values in (5, 6))
-    np.testing.assert_array_equal(old, new)
-    assert new[0] < 4 * OPTIMUM
-    assert new[-4:].mean() > 1.5 * OPTIMUM
+def test_ppo_learns():
+    returns = np.asarray(jax.jit(make_train(Config(num_envs=16, num_updates=24), *bus(6)))(jax.random.PRNGKey(0)))
+    assert returns[0] < 4 * OPTIMUM
+    assert returns[-4:].mean() > 1.5 * OPTIMUM
+
+
+def test_ppo_can_be_traced_with_five_values():
+    """That they are those of the six is tested step by step elsewhere."""
+    returns = jax.eval_shape(make_train(Config(num_updates=7), *bus(5)), jax.random.PRNGKey(0))
+    assert (returns.shape, returns.dtype) == ((7,), np.float32)
 
 
 def test_ppo_learns_through_gymnaxs_own_wrappers():
