@@ -12,16 +12,28 @@ from hrljax import solvers  # noqa: E402
 from hrljax.envs.base import Environment, TabularEnvironment  # noqa: E402
 from hrljax.envs.registry import make, register, registered  # noqa: E402
 from hrljax.hierarchy import Abstraction, Hierarchy, Subtask  # noqa: E402
+from hrljax.leaf_covers import inaccessible, total_leaf_cover  # noqa: E402
+from hrljax.learned import Learned  # noqa: E402
+from hrljax.learners.dyna import DynaQ  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hierarchical import HORDQ, MAXQ, MAXQ0  # noqa: E402
+from hrljax.learners.option_set import Options, options_from, primitive_options  # noqa: E402
+from hrljax.learners.options import OptionQ  # noqa: E402
+from hrljax.learners.relational import RelationalHORDQ  # noqa: E402
+from hrljax.learners.rmax import RMax  # noqa: E402
 from hrljax.learners.roots import ModelRoot, RandomRoot  # noqa: E402
+from hrljax.learners.search_root import SearchRoot  # noqa: E402
+from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
+from hrljax.models.mario_model import MarioModel  # noqa: E402
+from hrljax.plan import plan  # noqa: E402
+from hrljax.planners.best_first import best_first_search  # noqa: E402
 from hrljax.results import load, save  # noqa: E402
 from hrljax.sweep import sweep  # noqa: E402
 from hrljax.train import Run, train  # noqa: E402
 
 if _TYPE_CHECKING:
-    from hrljax import plots, stats
+    from hrljax import plots, stats, task_graphs, workers
 
 __all__ = [
     "HAMQ",
@@ -30,29 +42,47 @@ __all__ = [
     "MAXQ0",
     "SARSA",
     "Abstraction",
+    "DynaQ",
     "Environment",
     "Hierarchy",
+    "Learned",
+    "MarioModel",
     "ModelRoot",
+    "OptionQ",
+    "Options",
+    "QLambda",
     "QLearning",
+    "RMax",
     "RandomRoot",
+    "RelationalHORDQ",
     "Run",
+    "SARSALambda",
+    "SearchRoot",
     "Subtask",
     "TabularEnvironment",
+    "best_first_search",
+    "inaccessible",
     "load",
     "make",
+    "options_from",
+    "plan",
     "plots",
+    "primitive_options",
     "register",
     "registered",
     "save",
     "solvers",
     "stats",
     "sweep",
+    "task_graphs",
+    "total_leaf_cover",
     "train",
+    "workers",
 ]
 
 
 def __getattr__(name: str) -> _Any:
     """Loads what is slow to import when it is first used."""
-    if name in ("plots", "stats"):
+    if name in ("plots", "stats", "task_graphs", "workers"):
         return _import_module(f"hrljax.{name}")
     raise AttributeError(f"module 'hrljax' has no attribute {name!r}")

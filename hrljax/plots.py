@@ -33,10 +33,15 @@ def learning_curves(
 
     Returns:
         The axes; ``ax.figure.savefig`` saves the picture.
+
+    Raises:
+        ValueError: there are no curves.
     """
+    named = {"": curves} if isinstance(curves, xr.Dataset) else dict(curves)
+    if not named:
+        raise ValueError("curves must hold at least one dataset, got none")
     if ax is None:
         ax = Figure(figsize=(8, 5), layout="constrained").subplots()
-    named = {"": curves} if isinstance(curves, xr.Dataset) else dict(curves)
     colours = itertools.cycle(COLOURS)
     for name, dataset in named.items():
         values = dataset[variable] if window is None else stats.smoothed(dataset[variable], window)

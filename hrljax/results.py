@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,9 +23,8 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     if path.exists() and not (path / "zarr.json").exists():
         raise FileExistsError(f"{path} exists and is no Zarr store; it is left alone")
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    old = path.with_name(path.name + ".old")
+    workplace = Path(tempfile.mkdtemp(prefix=path.name + ".", dir=path.parent))
+    partial, old = workplace / "new.partial", workplace / "old"
     try:
         dataset.to_zarr(partial, mode="w", consolidated=False)
         if path.exists():
@@ -36,15 +36,15 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
                 old.rename(path)
             raise
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
+        shutil.rmtree(workplace, ignore_errors=True)
 
 
 def load(path: str | Path) -> xr.Dataset:
-    """Loads a dataset that `save` wrote, into memory.
+    """Loads a dataset that `save` or ``hrljax.sweep(store=...)`` wrote, into memory; unfinished runs are NaN.
 
     Raises:
         FileNotFoundError: there is no Zarr store at `path`.
+        ValueError: a chunk of a sweep's store is corrupt; the sweep computes it again.
     """
     import xarray as xr
 

@@ -26,7 +26,7 @@ def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) 
 def smoothed(values: xr.DataArray, window: int) -> xr.DataArray:
     """The moving average over a window of episodes, as far as whole bins allow.
 
-    The first bins average over what there is of the window.
+    The first bins average over what there is of the window; bins count by their episodes.
 
     Raises:
         ValueError: the window is smaller than a bin.
@@ -35,7 +35,13 @@ def smoothed(values: xr.DataArray, window: int) -> xr.DataArray:
     bin_size = int(episodes[0])
     if window < bin_size:
         raise ValueError(f"window must be at least a bin of {bin_size} episodes, got {window}")
-    return values.rolling(episode=window // bin_size, min_periods=1).mean()
+    sizes = xr.DataArray(np.diff(episodes, prepend=0), coords={"episode": values["episode"]})
+    weights = sizes.where(values.notnull())  # the last bin may be smaller
+
+    def total(terms: xr.DataArray) -> xr.DataArray:
+        return terms.rolling(episode=window // bin_size, min_periods=1).sum()
+
+    return (total(values * weights) / total(weights)).transpose(*values.dims)
 
 
 def episode_range(values: xr.DataArray, first: int, last: int) -> xr.DataArray:

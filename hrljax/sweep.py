@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hrljax import batch, random
+from hrljax import batch, identity, random
 from hrljax.envs.base import concrete_params
+from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
-from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, train
+from hrljax.store import Store, attributes_on_disk
+from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, metric_names
+from hrljax.work import ENV_PREFIX, Job, learned_shapes, named_leaves
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_ENV_PREFIX = "env."
 
 
 def sweep(
@@ -38,9 +40,12 @@ def sweep(
     params: Any = None,
     bin_size: int | None = None,
     evaluate_every: int | None = None,
+    keep_learned: bool = False,
     mapping: batch.Mapping = "auto",
     cores: int | None = None,
     chunk_size: int | None = None,
+    executor: Executor | None = None,
+    store: str | Path | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
     """Trains a learner for every combination of hyper-parameters and seed.
@@ -59,115 +64,185 @@ def sweep(
         params: numbers of the environment, `env.default_params` if None.
         bin_size: episodes in a bin; about a 200th of the run if None.
         evaluate_every: evaluates the greedy policy exactly after every so many bins; never if None.
+        keep_learned: whether to keep the tables that every run ends with, for `hrljax.learned`.
         mapping: ``"native"``, ``"vmap"``, or ``"auto"``: the former on CPUs, the latter elsewhere.
-        cores: cores to use, all if None.
+        cores: cores to use, all if None; with an executor, the chunks that it is given at a time.
         chunk_size: runs in a chunk; chosen if None.
+        executor: where chunks of runs are computed: any `concurrent.futures.Executor`, such as
+            `hrljax.workers.processes` and Dask's ``client.get_executor()``; threads of this process
+            if None. Its workers only need to import hrljax.
+        store: the folder of a Zarr store that keeps every chunk as soon as it is finished; a chunk
+            is a group of seeds of one combination. If the store is there, the sweep continues it:
+            it computes what is missing or corrupt, and the end is the same as without the break,
+            byte for byte. `hrljax.load` and `xarray.open_zarr` open it at any time.
         progress: whether to show a progress bar.
 
     Returns:
         A dataset with dimensions of the axes, then ``seed``, then ``episode`` (the last episode of
         each bin). Variables: ``return``, ``length`` and the environment's events, means per episode
         of the bin; ``steps`` of each run; with `evaluate_every`, ``greedy_return`` over
-        ``checkpoint``. Attributes: every setting, the versions, the key, ``seconds``
-        (``compile_seconds`` apart) and ``complete``; after a keyboard interrupt the unfinished runs
-        are NaN and ``complete`` is 0.
+        ``checkpoint``; with `keep_learned`, ``learned`` or its parts. Attributes: every setting
+        (``"swept"`` where there is an axis), the versions, the key, ``seconds`` (``compile_seconds``
+        apart, if this process compiles) and ``complete``; after a keyboard interrupt the unfinished
+        runs are NaN and ``complete`` is 0.
 
     Raises:
-        TypeError, ValueError: a bad argument, before anything is compiled.
+        TypeError, ValueError: a bad argument, or a store of another sweep; before anything is compiled.
+        FileExistsError: there is something else at `store`.
+        OSError: the store cannot be written; its finished chunks are intact.
     """
-    check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
-    check_count("seeds", seeds)
     for name, value in (("cores", cores), ("chunk_size", chunk_size)):
         if value is not None:
             check_count(name, value)
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+    checked = check(
+        env,
+        learner,
+        seeds=seeds,
+        num_episodes=num_episodes,
+        axes=axes,
+        key=key,
+        params=params,
+        bin_size=bin_size,
+        evaluate_every=evaluate_every,
+        keep_learned=keep_learned,
+        mapping=mapping,
+    )
+    job, labels, attributes, resolved = checked.job, checked.labels, checked.attributes, checked.mapping
+    title = f"{type(learner).__name__} on {env.name}" if progress else None
+    with ExitStack() as stack:
+        disk = None
+        if store is not None:
+            attributes |= checked.identity()
+            chunk_size = chunk_size or (attributes_on_disk(Path(store)) or {}).get("chunk_size")
+        length, chunks = checked.chunks(cores, chunk_size, portable=store is not None or executor is not None)
+        if store is not None:
+            disk = stack.enter_context(Store(store, labels, attributes, length))
+        collected = batch.Collected(labels.num_rows)
+        if disk is not None:
+            for chunk, values in disk.read(chunks):
+                collected.put(chunk, values)
+            chunks = [chunk for chunk in chunks if not collected.finished[chunk.start]]
+            disk.mark(complete=not chunks)
+        rows = checked.rows()
+        started = time.perf_counter()
+        run: Callable[..., Any] = job.sent() if executor is not None else job.compiled(rows, length) if chunks else job
+        compiled_at = time.perf_counter()
+        results = batch.run_many(
+            run,
+            rows,
+            mapping=resolved,
+            cores=cores,
+            chunk_size=length,
+            chunks=chunks,
+            executor=executor,
+            collected=collected,
+            keep=None if disk is None else disk.write,
+            progress=title,
+        )
+        complete = bool(results.finished.all())
+        if disk is not None:
+            disk.mark(complete)
+    attributes |= {"mapping": resolved, "seconds": time.perf_counter() - compiled_at, "complete": int(complete)}
+    if executor is None:
+        attributes["compile_seconds"] = compiled_at - started
+    return dataset(labels, results.values, results.finished, attributes)
+
+
+class Checked(NamedTuple):
+    """A sweep whose arguments are fine."""
+
+    job: Job
+    labels: Labels
+    key: Array
+    mapping: Any  # what the job's mapping means here
+    attributes: dict[str, Any]
+
+    def chunks(self, cores: int | None, chunk_size: int | None, portable: bool) -> tuple[int, list[range]]:
+        """The most runs in a chunk, and the runs of each.
+
+        Portable chunks hold one combination of hyper-parameters and are the same on every machine.
+        """
+        count = self.labels.num_rows
+        if portable:
+            length = batch.portable_chunk_length(count, self.labels.seeds, self.mapping, chunk_size)
+            return length, batch.chunks_of(count, length, within=self.labels.seeds)
+        length = batch.chunk_length(count, cores or batch.usable_cores(), self.mapping, chunk_size)
+        return length, batch.chunks_of(count, length)
+
+    def rows(self) -> dict[str, Any]:
+        """What tells the runs apart; see `hrljax.work.Job`."""
+        labels = self.labels
+        words = jax.random.key_data(jax.vmap(partial(jax.random.fold_in, self.key))(jnp.arange(labels.seeds)))
+        grid = np.array(list(itertools.product(*labels.columns.values())), np.float32)
+        return {
+            "key": np.tile(np.asarray(words), (len(grid), 1)),
+            "axes": {name: np.repeat(grid[:, i], labels.seeds) for i, name in enumerate(labels.columns)},
+        }
+
+    def identity(self) -> dict[str, Any]:
+        """What a store of this sweep has to agree with, beside the attributes."""
+        job, labels = self.job, self.labels
+        return {
+            "evaluate_every": job.evaluate_every or 0,
+            "keep_learned": int(job.keep_learned),
+            "seeds": labels.seeds,
+            "axes": json.dumps(labels.columns),
+            **identity.digests(job.env, job.learner, job.num_episodes),
+        }
+
+
+def check(
+    env: Any,
+    learner: Learner,
+    *,
+    seeds: int,
+    num_episodes: int,
+    axes: Mapping[str, Sequence[float]] | None,
+    key: Array | int,
+    params: Any,
+    bin_size: int | None,
+    evaluate_every: int | None,
+    keep_learned: bool,
+    mapping: batch.Mapping,
+) -> Checked:
+    """Checks the arguments of `sweep`.
+
+    Raises:
+        TypeError, ValueError: a bad argument.
+    """
+    check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
+    check_count("seeds", seeds)
     root_key = jax.random.key(_checked_seed(key)) if isinstance(key, int) else key
     random.check_key(root_key)
     params = concrete_params(env.default_params if params is None else params)
     columns = _checked_axes(learner, params, axes or {})
-    if evaluate_every is not None and any(name.startswith(_ENV_PREFIX) for name in columns):
+    if evaluate_every is not None and any(name.startswith(ENV_PREFIX) for name in columns):
         raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
     bin_size = bin_size or default_bin_size(num_episodes)
     if evaluate_every is not None and evaluate_every > len(bin_sizes(num_episodes, bin_size)):
         raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")
     resolved = batch.resolve_mapping(mapping)
-    attributes = _attributes(env, learner, params, root_key)
-
-    grid = list(itertools.product(*columns.values()))
-    rows = {
-        "key": jnp.tile(jax.vmap(partial(jax.random.fold_in, root_key))(jnp.arange(seeds)), len(grid)),
-        "axes": {
-            name: jnp.repeat(jnp.asarray([p[i] for p in grid], jnp.float32), seeds) for i, name in enumerate(columns)
-        },
-    }
-    started = time.perf_counter()
-    length = batch.chunk_length(len(grid) * seeds, cores or batch.usable_cores(), resolved, chunk_size)
-    shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct((length, *a.shape[1:]), a.dtype), rows)
-    compiled = _compiled(env, _Frozen(learner), params, num_episodes, bin_size, evaluate_every, resolved)(shapes)
-    compiled_at = time.perf_counter()
-    title = f"{type(learner).__name__} on {env.name}" if progress else None
-    results = batch.run_many(compiled, rows, mapping=resolved, cores=cores, chunk_size=length, progress=title)
-    seconds = time.perf_counter() - compiled_at
-
-    attributes |= {
-        "num_episodes": num_episodes,
-        "bin_size": bin_size,
-        "mapping": resolved,
-        "seconds": seconds,
-        "compile_seconds": compiled_at - started,
-        "complete": int(results.finished.all()),
-    }
-    return _dataset(results, columns, seeds, num_episodes, bin_size, evaluate_every, attributes)
+    job = Job(env, learner, params, num_episodes, bin_size, evaluate_every, bool(keep_learned), mapping)
+    attributes = identity.attributes(env, learner, params, root_key, columns)
+    attributes |= {"num_episodes": num_episodes, "bin_size": bin_size}
+    return Checked(job, _labels(job, columns, seeds), root_key, resolved, attributes)
 
 
-class _Frozen:
-    """A learner as the key of a cache: equal when its static parts and its plain numbers are."""
-
-    def __init__(self, learner: Learner):
-        self.learner = learner
-        self._key = (type(learner), tuple((k, _hashable(v)) for k, v in learner.settings().items()))
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Frozen) and self._key == other._key
-
-
-def _hashable(value: Any) -> Any:
-    return float(value) if isinstance(value, np.generic | jax.Array) else value
-
-
-@lru_cache(maxsize=128)
-def _compiled(
-    env: Any, frozen: _Frozen, params: Any, num_episodes: int, bin_size: int, evaluate_every: int | None, mapping: Any
-) -> Callable[[Any], Callable[[Any], Any]]:
-    """For shapes of rows: the compiled function of a chunk. Each is compiled once per process."""
-
-    def run(row: dict[str, Any]) -> dict[str, Any]:
-        own = {name: value for name, value in row["axes"].items() if not name.startswith(_ENV_PREFIX)}
-        of_env = {n.removeprefix(_ENV_PREFIX): v for n, v in row["axes"].items() if n.startswith(_ENV_PREFIX)}
-        result = train(
-            env,
-            frozen.learner.replaced(own),
-            row["key"],
-            num_episodes,
-            params=params._replace(**of_env),
-            bin_size=bin_size,
-            evaluate_every=evaluate_every,
-            lockstep=mapping == "vmap",
-        )
-        return {"metrics": result.metrics, "greedy_return": result.greedy_return, "steps": result.steps}
-
-    jitted: Any = batch.compile_mapped(run, mapping)
-    by_shape: dict[Any, Any] = {}
-
-    def for_shapes(shapes: Any) -> Any:
-        signature = str(jax.tree.map(lambda s: (s.shape, s.dtype), shapes))
-        if signature not in by_shape:
-            by_shape[signature] = jitted.lower(shapes).compile()
-        return by_shape[signature]
-
-    return for_shapes
+def _labels(job: Job, columns: dict[str, list[float]], seeds: int) -> Labels:
+    ends = np.cumsum(bin_sizes(job.num_episodes, job.bin_size))
+    number = np.dtype(np.float64)
+    coordinates = {"episode": ends}
+    variables = {name: Variable(("episode",), (len(ends),), number, describe(name)) for name in metric_names(job.env)}
+    variables["steps"] = Variable((), (), number, {})
+    if job.evaluate_every is not None:
+        coordinates["checkpoint"] = ends[job.evaluate_every - 1 :: job.evaluate_every]
+        variables["greedy_return"] = Variable(("checkpoint",), (len(coordinates["checkpoint"]),), number, {})
+    for name, leaf in named_leaves(learned_shapes(job.env, job.learner)) if job.keep_learned else ():
+        dims = tuple(f"{name}.{i}" for i in range(len(leaf.shape)))
+        variables[name] = Variable(dims, leaf.shape, np.dtype(leaf.dtype), {})
+    return Labels(columns, seeds, coordinates, variables)
 
 
 def _checked_seed(key: int) -> int:
@@ -179,7 +254,7 @@ def _checked_seed(key: int) -> int:
 def _checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
     """The axes as lists of floats, each value checked as the hyper-parameter would be."""
     of_learner = learner.sweepable()
-    of_env = [_ENV_PREFIX + f for f in params._fields if f != "max_steps"]
+    of_env = [ENV_PREFIX + f for f in params._fields if f != "max_steps"]
     columns: dict[str, list[float]] = {}
     for name, values in axes.items():
         if name not in of_learner and name not in of_env:
@@ -195,60 +270,5 @@ def _checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[flo
             if name in of_learner:
                 learner.replaced({name: value})
             else:
-                concrete_params(params._replace(**{name.removeprefix(_ENV_PREFIX): value}))
+                concrete_params(params._replace(**{name.removeprefix(ENV_PREFIX): value}))
     return columns
-
-
-def _attributes(env: Any, learner: Learner, params: Any, key: Array) -> dict[str, Any]:
-    settings = {f"learner.{name}": _attribute(value) for name, value in learner.settings().items()}
-    numbers = {_ENV_PREFIX + name: _attribute(value) for name, value in params._asdict().items()}
-    options = {_ENV_PREFIX + f.name: str(getattr(env, f.name)) for f in dataclasses.fields(env)}
-    versions = {f"version.{p}": version(p) for p in ("hrljax", "jax", "jaxlib", "numpy", "xarray")}
-    return {
-        "environment": env.name,
-        "learner": learner.name,
-        **settings,
-        **numbers,
-        **options,
-        **versions,
-        "key": json.dumps(np.asarray(jax.random.key_data(key)).tolist()),
-    }
-
-
-def _attribute(value: Any) -> str | int | float:
-    if isinstance(value, np.floating):
-        return float(str(value))
-    return value if isinstance(value, str | int | float) else repr(value)
-
-
-def _dataset(
-    results: batch.Results,
-    columns: dict[str, list[float]],
-    seeds: int,
-    num_episodes: int,
-    bin_size: int,
-    evaluate_every: int | None,
-    attributes: dict[str, Any],
-) -> xr.Dataset:
-    import xarray as xr  # here, because importing it takes longer than the rest of hrljax
-
-    shape = (*(len(values) for values in columns.values()), seeds)
-    dims = (*columns, "seed")
-    last_episode = np.cumsum(bin_sizes(num_episodes, bin_size))
-
-    def labelled(values: np.ndarray, *more: str) -> xr.Variable:
-        values = np.array(values, np.float64)
-        values[~results.finished] = np.nan
-        return xr.Variable((*dims, *more), values.reshape(*shape, *values.shape[1:]))
-
-    variables = {name: labelled(values, "episode") for name, values in results.values["metrics"].items()}
-    variables["steps"] = labelled(results.values["steps"])
-    coordinates: dict[str, Any] = {**columns, "seed": np.arange(seeds), "episode": last_episode}
-    if evaluate_every is not None:
-        variables["greedy_return"] = labelled(results.values["greedy_return"], "checkpoint")
-        coordinates["checkpoint"] = last_episode[evaluate_every - 1 :: evaluate_every]
-    dataset = xr.Dataset(variables, coordinates, attributes)
-    dataset["return"].attrs = {"long_name": "return per episode"}
-    dataset["length"].attrs = {"long_name": "steps per episode", "units": "steps"}
-    dataset["episode"].attrs = {"long_name": "last episode of the bin", "units": "episodes"}
-    return dataset

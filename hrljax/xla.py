@@ -23,6 +23,16 @@ OPTIONS: dict[str, str | bool | int] = {
 }
 """Compiler options of a native loop."""
 
+NESTED_OPTIONS: dict[str, str | bool | int] = {
+    name: value for name, value in OPTIONS.items() if "region_analysis" not in name
+}
+"""Compiler options of a native loop whose steps hold loops that change the same arrays several times.
+
+With the region analysis of copies, XLA (jaxlib 0.10.2) drops copies that such loops need: an outer
+loop's counter is overwritten while an inner loop still reads it, and of two writes to one array the
+second sees the first in values that were read before.
+"""
+
 
 def request_native_loops() -> None:
     """Asks XLA, through its environment variable, to compile large loops natively too.

@@ -53,6 +53,14 @@ def test_a_store_is_replaced_as_a_whole(tmp_path: Path):
     assert entries(tmp_path) == ["curve.zarr"]
 
 
+def test_what_lies_beside_a_store_is_left_alone(tmp_path: Path):
+    for name in ("curve.zarr.partial", "curve.zarr.old"):
+        (tmp_path / name).mkdir()
+    save(dataset(), tmp_path / "curve.zarr")
+    save(dataset(), tmp_path / "curve.zarr")
+    assert entries(tmp_path) == ["curve.zarr", "curve.zarr.old", "curve.zarr.partial"]
+
+
 def test_something_else_is_left_alone(tmp_path: Path):
     file, folder = tmp_path / "notes.txt", tmp_path / "thesis"
     file.write_text("mine")

@@ -63,8 +63,8 @@ def test_the_interval_may_be_over_another_dimension():
 def test_a_moving_average_covers_the_whole_bins_of_its_window():
     values = xr.DataArray([1.0, 2.0, 6.0, 7.0, 9.0], coords={"episode": EPISODES})
     assert smoothed(values, 10).values.tolist() == [1, 2, 6, 7, 9]
-    assert smoothed(values, 29).values.tolist() == [1, 1.5, 4, 6.5, 8]
-    np.testing.assert_allclose(smoothed(values, 30), [1, 1.5, 3, 5, 22 / 3])
+    np.testing.assert_allclose(smoothed(values, 29), [1, 1.5, 4, 6.5, (10 * 7 + 5 * 9) / 15])
+    np.testing.assert_allclose(smoothed(values, 30), [1, 1.5, 3, 5, (10 * 6 + 10 * 7 + 5 * 9) / 25])
     with pytest.raises(ValueError, match="window must be at least a bin of 10 episodes, got 9"):
         smoothed(values, 9)
 
@@ -125,6 +125,11 @@ def test_every_combination_of_an_axis_is_a_curve():
     np.testing.assert_allclose(ax.lines[4].get_ydata(), data["length"].sel(pseudo_reward=5).mean("seed")[0])
     assert [float(line.get_ydata()[0]) for line in ax.lines[7:]] == [20, 1000]
     assert ax.get_ylabel() == "steps per episode (steps)"
+
+
+def test_nothing_cannot_be_drawn():
+    with pytest.raises(ValueError, match="curves must hold at least one dataset, got none"):
+        learning_curves({})
 
 
 def test_labels_count_the_finished_runs():

@@ -79,6 +79,8 @@ class Environment(ABC, Generic[State, Params]):
     action_names: ClassVar[tuple[str, ...]]
     metrics: ClassVar[tuple[str, ...]] = ()
     """Names of the events that `transition` counts in its `info`; results report them per episode."""
+    has_loops: ClassVar[bool] = False
+    """Whether `transition` holds loops that change arrays; decides how native loops are compiled."""
     num_words: ClassVar[int]
     """Random words that one `transition` uses."""
     num_initial_words: ClassVar[int]

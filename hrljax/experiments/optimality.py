@@ -21,7 +21,8 @@ from hrljax.learners.dyna import DynaQ
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hamq import HAMQ
 from hrljax.learners.hierarchical import HORDQ, MAXQ, MAXQ0
-from hrljax.learners.options import OptionQ, options_from
+from hrljax.learners.option_set import options_from
+from hrljax.learners.options import OptionQ
 from hrljax.learners.rmax import RMax
 from hrljax.learners.roots import ModelRoot
 from hrljax.learners.task_tables import tabulate
@@ -32,6 +33,8 @@ from hrljax.sweep import sweep
 PEERS = {"MAXQ-Q": (2.06, 1.11), "MAXQ-0": (2.54, None), "HAMQ": (3.15, None)}
 """Mean return of one test episode after 65,536 on Taxi, 200 runs, and its standard error where it was published
 (aijunbai/taxi, a C++ program: same rewards, step size, exploration and pseudo-reward; HAMQ is its HAMQ-INT)."""
+
+_BINS = 128
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Domain:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
 
-def _neighbours(env: TabularEnvironment[Any, Any], maxq: float, hordq: float, **numbers: float) -> dict[str, Learner]:
+def _neighbours(env: TabularEnvironment[Any, Any], maxq: float, hordq: float, **numbers: Any) -> dict[str, Learner]:
     """HORDQ and the methods around it, with the same numbers and a root that learns."""
     hierarchy = env.hierarchy()
     complete = total_leaf_cover(hierarchy, active=tabulate(hierarchy, env).active).hierarchy
@@ -101,15 +104,15 @@ def exact(domain: Domain) -> Optima:
 
 def run(domain: Domain, seeds: int, scale: float, cores: int | None, key: int) -> Iterator[tuple[str, xr.Dataset]]:
     """Runs a domain's learners one after the other; `scale` shortens or lengthens the runs."""
-    episodes = max(16, int(domain.episodes * scale) // 16 * 16)
+    bin_size = max(1, round(domain.episodes * scale) // _BINS)
     for name, learner in domain.learners.items():
         dataset = sweep(
             domain.env,
             learner,
             seeds=seeds,
-            num_episodes=episodes,
-            bin_size=max(1, episodes // 128),
-            evaluate_every=max(1, episodes // 8) // max(1, episodes // 128),
+            num_episodes=bin_size * _BINS,
+            bin_size=bin_size,
+            evaluate_every=_BINS // 8,
             params=domain.params,
             cores=cores,
             key=key,

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
+from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.numerics import take
 
 Schedule: TypeAlias = Callable[[Any], Any]
@@ -172,8 +173,8 @@ class Learner(Settings, ABC):
         """The learner's state before the first episode."""
 
     @abstractmethod
-    def begin(self, prepared: Any, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
-        """Starts an episode at a state (its number, int32): the new `control`."""
+    def begin(self, prepared: Any, tables: Any, first: Any, words: tuple[Array, ...], moment: Moment) -> Any:
+        """Starts an episode at a state: the new `control`."""
 
     @abstractmethod
     def action(self, control: Any) -> Array:
@@ -192,9 +193,13 @@ class Learner(Settings, ABC):
         """
         return tables
 
+    def greedy_policy(self, env: Any, prepared: Any, tables: Any, zero: Array) -> HierarchicalPolicy:
+        """What the learner would do if it were greedy from now on."""
+        raise NotImplementedError(f"{self.name} does not tell its greedy policy over the numbers of states")
+
     def greedy_return(self, env: Any, prepared: Any, tables: Any, params: Any, zero: Array) -> Array:
         """Exact expected return (float32 scalar) of an episode if the learner were greedy from now on."""
-        raise NotImplementedError(f"{self.name} has no exact evaluation")
+        return expected_return(env, self.greedy_policy(env, prepared, tables, zero), params, zero)
 
 
 def tabulated(learner: Learner, num_episodes: int) -> Learner:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import expected_return, flat_policy
+from hrljax.evaluate import HierarchicalPolicy, flat_policy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.numerics import put_row, take_row
@@ -35,11 +35,11 @@ class ActionValueLearner(Learner):
     def action(self, control: Any) -> Array:
         return control
 
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Any, params: Any, zero: Array
-    ) -> Array:
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Any, zero: Array
+    ) -> HierarchicalPolicy:
         actions = jnp.argmax(self.action_values(tables).reshape(-1, prepared), axis=-1).astype(jnp.int32)
-        return expected_return(env, flat_policy(env, actions), params, zero)
+        return flat_policy(env, actions)
 
     def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
         return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))

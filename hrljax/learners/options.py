@@ -3,13 +3,12 @@
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import HierarchicalPolicy, expected_return
+from hrljax.evaluate import HierarchicalPolicy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.learners.option_set import Options
@@ -111,7 +110,9 @@ class OptionQ(Learner):
         )
         over = _entry(ends, running.option) | step.terminated
         following = take_row(q, after * count, count)
-        best = lax.select(step.terminated, jnp.float32(0), _best(following, there)[1])
+        is_called = over & ~step.terminated  # some option is
+        needed = is_called if self.update == "smdp" else ~step.terminated
+        best = lax.cond(needed, lambda: _best(following, there)[1], lambda: jnp.float32(0))
         step_size = at_episode(self.step_size, moment.episode)
         if self.update == "smdp":
             place = running.state * count + running.option
@@ -126,20 +127,22 @@ class OptionQ(Learner):
             target = td.td_target(step.reward, discount, follows, moment.zero)
             learns = ((prepared.row(step.state) >> 2) == step.action) & moment.live
         q = put_row(q, place, td.increment(old, target, step_size, learns, moment.zero))
-        called = self._called(prepared, q, after, words[0], moment)
-        goes_on = running._replace(action=_entry(there >> 2, running.option))
-        control = jax.tree.map(lambda new, kept: lax.select(over, new, kept), called, goes_on)
+        control = lax.cond(
+            is_called,
+            lambda: self._called(prepared, q, after, words[0], moment),
+            lambda: running._replace(action=_entry(there >> 2, running.option)),
+        )
         return LearnerState(q, control)
 
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: OptionTables, tables: Array, params: Any, zero: Array
-    ) -> Array:
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: OptionTables, tables: Array, zero: Array
+    ) -> HierarchicalPolicy:
         q = tables.reshape(-1, prepared.num_options).T
         can_begin = jnp.asarray(prepared.initiation)
         called = jnp.argmax(jnp.where(can_begin, q, jnp.full_like(q, -np.inf)), axis=0).astype(jnp.int32)
         inside = np.maximum(self.options.policy, 0)
         slots = jnp.concatenate([called[None], jnp.asarray(inside)])
-        return expected_return(env, HierarchicalPolicy(prepared.graph, slots, None), params, zero)
+        return HierarchicalPolicy(prepared.graph, slots, None)
 
     def _called(self, prepared: OptionTables, q: Array, state: Array, word: Array, moment: Moment) -> Running:
         """The option that is called in a state."""
@@ -183,8 +186,9 @@ def option_tables(options: Options, env: TabularEnvironment[Any, Any]) -> Option
     root = Kind(actions, none * of_root + tuple(range(1, own + 1)))
     plain = Kind(tuple(range(env.num_actions)), none * env.num_actions)
     active = np.concatenate([np.ones((1, env.num_states), np.bool_), ~options.termination])
-    unused = np.zeros((own + 1, env.num_states), np.float32)
-    tables = TaskTables(active, unused, active.any(1), unused.astype(np.int32), np.zeros(env.num_states, np.int32))
+    # A value needs of the tables only where subtasks go on.
+    unused = {name: np.zeros(0) for name in TaskTables.__dataclass_fields__ if name != "active"}
+    tables = TaskTables(active, **unused)
     levels = ((0,), tuple(range(1, own + 1))) if own else ((0,),)
     kind_of = (0,) + (1,) * own
     graph = TaskGraph(tables, env.num_states, env.num_actions, 0, (root, plain), kind_of, levels)
@@ -201,7 +205,7 @@ def _check_always_one(options: Options, env: TabularEnvironment[Any, Any]) -> No
         start = int(calls.pop())
         startable = np.flatnonzero(options.initiation[:, start])
         if not len(startable):
-            raise ValueError(f"no option can be initiated in state {start}, {env.decode(np.int32(start))}")
+            raise ValueError(f"no option can be initiated in state {start}, {env.decode(jnp.int32(start))}")
         runs = [(int(o), start) for o in startable]
         while runs:
             option, state = runs.pop()

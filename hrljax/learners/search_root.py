@@ -76,7 +76,7 @@ class SearchRoot(Settings):
             max_nodes=self.max_nodes,
             count=self.count,
             priority=self.priority,
-            stop_reward=self.stop_reward,
+            stop_reward=jnp.asarray(self.stop_reward, jnp.float32),
         )
 
     def advise(self, env: Mario, tables: SearchTables, plan: Plan, episode: Any, asked: Array) -> Plan:

@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import HierarchicalPolicy, expected_return
+from hrljax.evaluate import HierarchicalPolicy
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
@@ -259,9 +259,9 @@ class StackLearner(Learner):
             return tables
         return tables._replace(root=self.root.plan(prepared.root, tables.root, moment))
 
-    def greedy_return(
-        self, env: TabularEnvironment[Any, Any], prepared: Prepared, tables: Tables, params: Any, zero: Array
-    ) -> Array:
+    def greedy_policy(
+        self, env: TabularEnvironment[Any, Any], prepared: Prepared, tables: Tables, zero: Array
+    ) -> HierarchicalPolicy:
         graph = prepared.graph
         states = jnp.arange(env.num_states, dtype=jnp.int32)
 
@@ -274,8 +274,7 @@ class StackLearner(Learner):
         if self.root is not None:
             root, child_value = self.root, self._child_value(graph, tables.parts)
             choice = jax.vmap(lambda s: root.probabilities(prepared.root, tables.root, child_value, s, zero))(states)
-        policy = HierarchicalPolicy(graph, jax.vmap(slots)(states).T, choice)
-        return expected_return(env, policy, params, zero)
+        return HierarchicalPolicy(graph, jax.vmap(slots)(states).T, choice)
 
     # How the stack moves.
 

@@ -40,7 +40,7 @@ class Replay(NamedTuple):
     targets: Array  # [N + 1, 4] float32: displacement and next velocity
     reward: Array  # [N + 1] float32
     group: Array  # [N + 1] int32: the action; number of actions if the episode ended, with no next state
-    count: Array  # int32: transitions so far
+    added: Array  # int32: transitions so far
 
 
 class Learned(NamedTuple):
@@ -64,7 +64,7 @@ class MarioModel:
     rows: int = 20_000
     max_depth: int = 12
     min_leaf: int = 5
-    num_bins: int = 64
+    num_bins: int = 128
 
     @property
     def num_inputs(self) -> int:
@@ -88,7 +88,7 @@ class MarioModel:
             targets=jnp.zeros((rows, _TARGETS), jnp.float32),
             reward=jnp.zeros(rows, jnp.float32),
             group=jnp.zeros(rows, jnp.int32),
-            count=jnp.int32(0),
+            added=jnp.int32(0),
         )
 
     def unfitted(self, num_actions: int) -> Learned:
@@ -118,7 +118,7 @@ class MarioModel:
         live: Array,
     ) -> Replay:
         """Keeps a transition, where `live`. Of a last one only the reward is known."""
-        place = lax.select(jnp.asarray(live), replay.count % np.int32(self.rows), jnp.int32(self.rows))
+        place = lax.select(jnp.asarray(live), replay.added % np.int32(self.rows), jnp.int32(self.rows))
         tile = np.float32(1 / TILE)
         targets = jnp.stack([(after.x - before.x) * tile, (after.y - before.y) * tile, after.dx, after.dy])
         group = lax.select(terminated, jnp.int32(num_actions), action)
@@ -129,12 +129,12 @@ class MarioModel:
             targets=lax.dynamic_update_slice(replay.targets, targets[None], (place, zero)),
             reward=lax.dynamic_update_slice(replay.reward, reward[None], (place,)),
             group=lax.dynamic_update_slice(replay.group, group[None], (place,)),
-            count=replay.count + jnp.asarray(live).astype(jnp.int32),
+            added=replay.added + jnp.asarray(live).astype(jnp.int32),
         )
 
     def fit(self, replay: Replay, num_actions: int) -> Learned:
         """Grows all trees anew from what is kept."""
-        count = lax.min(replay.count, jnp.int32(self.rows))
+        count = lax.min(replay.added, jnp.int32(self.rows))
         motion = self.motion_tree.fit_groups(
             replay.inputs[:, :-1], replay.targets, replay.group, num_actions + 1, count
         )

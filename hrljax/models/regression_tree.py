@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 
 from hrljax.models.tree_growth import (
     EQUALS,
@@ -20,6 +21,7 @@ from hrljax.models.tree_growth import (
     LEFT_SHIFT,
     Arrays,
     Growth,
+    Sample,
     empty_arrays,
     grow,
     quantise,
@@ -55,7 +57,7 @@ class RegressionTree:
     categories: tuple[int, ...]
     max_depth: int = 12
     min_leaf: int = 5
-    num_bins: int = 64
+    num_bins: int = 128
 
     def __post_init__(self) -> None:
         if not isinstance(self.categories, tuple):
@@ -118,30 +120,63 @@ class RegressionTree:
             ValueError: a shape or a concrete value is wrong.
         """
         inputs, targets, group = map(jnp.asarray, (inputs, targets, group))
-        count = jnp.int32(len(inputs)) if count is None else jnp.asarray(count)
-        self._check(inputs, targets, group, num_groups, count)
+        given = jnp.int32(len(inputs)) if count is None else jnp.asarray(count)
+        self._check(inputs, targets, group, num_groups, given)
         num_rows, num_targets = targets.shape
-        count = count.astype(jnp.int32)
-        valid = jnp.arange(num_rows, dtype=jnp.int32) < count
-        binned = bin_inputs(inputs, count, self.categories, self.num_bins)
-        quanta = [quantise(targets[:, k], valid) for k in range(num_targets)]
-        rows, starts = _grouped(group, count, num_groups)
+        used = given.astype(jnp.int32)
+        valid = jnp.arange(num_rows, dtype=jnp.int32) < used
+        binned = bin_inputs(inputs, used, self.categories, self.num_bins)
+        quanta = quantise(targets.T, valid)
+        values = quanta.values.reshape(-1)
+        rows, starts = _grouped(group, used, num_groups)
         capacity = self.capacity(num_rows)
-        arrays = empty_arrays(self._growth, num_groups * num_targets * capacity, num_rows)._replace(rows=rows)
+        arrays = empty_arrays(self._growth, num_groups * num_targets * capacity, rows)
 
-        def one_group(g: Array, arrays: Arrays) -> Arrays:
-            start, n = take(starts, g), take(starts, g + 1) - take(starts, g)
-            for k in range(num_targets):
-                base = (g * np.int32(num_targets) + np.int32(k)) * np.int32(capacity)
-                arrays = grow(self._growth, binned, quanta[k], arrays, base, start, n)
-            return arrays
+        def one(tree: Array, arrays: Arrays) -> Arrays:
+            own_group, target = tree // np.int32(num_targets), tree % np.int32(num_targets)
+            sample = Sample(
+                binned, values, target * np.int32(num_rows), take(quanta.size, target), tree * np.int32(capacity)
+            )
+            start = take(starts, own_group)
+            return grow(self._growth, sample, arrays, start, take(starts, own_group + 1) - start)
 
-        arrays = lax.fori_loop(jnp.int32(0), jnp.int32(num_groups), one_group, arrays)
+        arrays = lax.fori_loop(jnp.int32(0), jnp.int32(num_groups * num_targets), one, arrays)
         shape = (num_groups, num_targets, capacity)
         return Trees(arrays.words.reshape(shape), arrays.numbers.reshape(shape))
 
     def _check(self, inputs: Array, targets: Array, group: Array, num_groups: int, count: Array) -> None:
-        pass
+        num_rows = len(inputs) if inputs.ndim else 0
+        if inputs.shape != (num_rows, self.num_inputs) or not 1 <= num_rows <= MAX_ROWS:
+            raise ValueError(
+                f"inputs must have shape [N, {self.num_inputs}] with 1 to {MAX_ROWS} rows, got {list(inputs.shape)}"
+            )
+        if targets.ndim != 2 or len(targets) != num_rows or not targets.shape[1]:
+            raise ValueError(f"targets must have a value for each of {num_rows} rows, got shape {list(targets.shape)}")
+        for name, values in (("inputs", inputs), ("targets", targets)):
+            if values.dtype != jnp.float32:
+                raise ValueError(f"{name} must be float32, got {values.dtype}")
+        if group.shape != (num_rows,) or group.dtype != jnp.int32:
+            raise ValueError(f"group must be int32 of shape [{num_rows}], got {group.dtype} of {list(group.shape)}")
+        _check_whole("num_groups", num_groups, 1, MAX_ROWS)
+        if count.shape != () or not jnp.issubdtype(count.dtype, jnp.integer):
+            raise ValueError(f"count must be one integer, got {count.dtype} of shape {list(count.shape)}")
+        if any(isinstance(values, Tracer) for values in (inputs, targets, group, count)):
+            return
+        if not 0 <= int(count) <= num_rows:
+            raise ValueError(f"count must be in 0..{num_rows}, got {int(count)}")
+        used = slice(0, int(count))
+        self._check_values(np.asarray(inputs)[used], np.asarray(targets)[used], np.asarray(group)[used], num_groups)
+
+    def _check_values(self, inputs: np.ndarray, targets: np.ndarray, group: np.ndarray, num_groups: int) -> None:
+        for name, values in (("inputs", inputs), ("targets", targets)):
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
+        for i, size in enumerate(self.categories):
+            wrong = inputs[:, i][~np.isin(inputs[:, i], np.arange(size))] if size else inputs[:0, i]
+            if len(wrong):
+                raise ValueError(f"inputs[:, {i}] must be whole numbers in 0..{size - 1}, got {wrong[0]:g}")
+        if len(group) and not (group.min() >= 0 and group.max() < num_groups):
+            raise ValueError(f"group must be in 0..{num_groups - 1}, got {group.min()}..{group.max()}")
 
 
 def predict(trees: Trees, inputs: Array, *index: Array | int) -> Array:

@@ -23,7 +23,7 @@ class Cells(NamedTuple):
     continuous: np.ndarray  # [S] bool
 
     @property
-    def count(self) -> int:
+    def num_cells(self) -> int:
         return len(self.input)
 
 
@@ -47,71 +47,49 @@ def bin_inputs(inputs: Array, count: Array, categories: tuple[int, ...], num_bin
     """Finds the bins of continuous inputs, from the valid rows, and the cell of every input of every row.
 
     Up to `num_bins` distinct values each have a bin of their own. More are cut by rank into bins of
-    about as many rows; equal values stay together.
+    about as many rows; equal values stay together. A value below all others counts to the lowest.
 
     Args:
         inputs: ``[N, F]`` float32.
         count: int32 scalar, the number of valid rows; they come first.
         categories, num_bins: as in `make_cells`.
     """
-    columns, low, high = [], [], []
-    start = 0
-    for i, size in enumerate(categories):
-        column = inputs[:, i]
-        if size:
-            own = jnp.clip(column.astype(jnp.int32), 0, size - 1)
-            edges = (np.arange(size, dtype=np.float32),) * 2
-        else:
-            edges = _bins(column, count, num_bins)
-            own = _bin_of(column, edges[0])
-        columns.append((own + np.int32(start)).astype(jnp.uint16))
-        low.append(edges[0])
-        high.append(edges[1])
-        start += size or num_bins
-    return Binned(jnp.stack(columns, axis=1).reshape(-1), jnp.concatenate(low), jnp.concatenate(high))
+    sizes = np.array([size or num_bins for size in categories], np.int32)
+    own = jnp.clip(inputs.astype(jnp.int32), 0, sizes[None] - 1)
+    low = [jnp.arange(size, dtype=jnp.float32) for size in sizes]
+    high = list(low)
+    for i in np.flatnonzero(np.array(categories) == 0):
+        low[i], high[i] = _bins(inputs[:, i], count, num_bins)
+        bins = jnp.searchsorted(low[i], inputs[:, i], side="right").astype(jnp.int32) - 1
+        own = own.at[:, i].set(jnp.maximum(bins, 0))
+    starts = np.cumsum(sizes, dtype=np.int32) - sizes
+    return Binned((own + starts[None]).astype(jnp.uint16).reshape(-1), jnp.concatenate(low), jnp.concatenate(high))
 
 
 def _bins(column: Array, count: Array, num_bins: int) -> tuple[Array, Array]:
-    """Smallest and greatest value (float32 ``[num_bins]``) of every bin; unused ones have infinity."""
+    """Smallest and greatest value (float32 ``[num_bins]``) of every bin; unused ones begin at infinity.
+
+    A value is in the last bin that begins at or below it; before that one, bins may be empty.
+    """
     position = jnp.arange(len(column), dtype=jnp.int32)
-    values = jnp.sort(jnp.where(position < count, column, np.float32(np.inf)))
-    unused = jnp.full(num_bins, np.inf, jnp.float32)
-
-    def scan_values(by_rank: Array) -> tuple[Array, Array, Array]:
-        def step(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-            low, high, last, distinct, bin_ = carry
-            value = lax.dynamic_slice(values, (i.astype(jnp.uint32),), (1,))
-            is_new = (i == 0) | (value[0] != last)
-            distinct = distinct + is_new.astype(jnp.int32)
-            # i * num_bins / count without overflow is not needed: both are small (checked).
-            wanted = lax.select(by_rank, i * np.int32(num_bins) // count, lax.min(distinct - 1, np.int32(num_bins - 1)))
-            bin_ = lax.select(is_new, wanted, bin_)
-            place = (bin_.astype(jnp.uint32),)
-            low = lax.dynamic_update_slice(low, lax.min(lax.dynamic_slice(low, place, (1,)), value), place)
-            return low, lax.dynamic_update_slice(high, value, place), value[0], distinct, bin_
-
-        nothing = jnp.int32(0)
-        low, high, _, distinct, _ = lax.fori_loop(
-            jnp.int32(0), count, step, (unused, unused, jnp.float32(0), nothing, nothing)
-        )
-        return low, high, distinct
-
-    low, high, distinct = scan_values(jnp.bool_(False))
-    too_many = distinct > num_bins
-
-    def again(_: tuple[Array, Array]) -> tuple[Array, Array]:
-        return scan_values(jnp.bool_(True))[:2]
-
-    low, high = lax.cond(too_many, again, lambda kept: kept, (low, high))
-    return _without_gaps(low, high)
+    values = _sorted(jnp.where(position < count, column, np.float32(np.inf)))
+    is_new = (position == 0) | (values != jnp.roll(values, 1))
+    distinct = jnp.cumsum((is_new & (position < count)).astype(jnp.int32))
+    bins = jnp.arange(num_bins, dtype=jnp.int32)
+    of_values = jnp.searchsorted(distinct, bins + 1).astype(jnp.int32)
+    by_rank = (bins * count + np.int32(num_bins - 1)) // np.int32(num_bins)
+    first = jnp.where(distinct[-1] <= num_bins, of_values, by_rank)
+    low = jnp.where(first < count, values[jnp.minimum(first, len(column) - 1)], np.float32(np.inf))
+    after = jnp.searchsorted(values, jnp.append(low[1:], np.float32(np.inf))).astype(jnp.int32)
+    return low, values[jnp.maximum(after - 1, 0)]
 
 
-def _without_gaps(low: Array, high: Array) -> tuple[Array, Array]:
-    """Bins that no value fell into go to the end."""
-    return jnp.sort(low), jnp.sort(high)
+def _sorted(values: Array) -> Array:
+    """Values in ascending order, through their bits: XLA sorts integers four times as fast on a CPU."""
 
+    def flipped(bits: Array) -> Array:
+        return bits ^ ((bits >> np.int32(31)) & np.int32(0x7FFFFFFF))
 
-def _bin_of(column: Array, low: Array) -> Array:
-    """The last bin (int32) that starts at or below each value; the first if none does."""
-    found = jnp.searchsorted(low, column, side="right").astype(jnp.int32)
-    return jnp.maximum(found - 1, 0)
+    # Adding zero makes minus zero zero.
+    bits = flipped(lax.bitcast_convert_type(values + np.float32(0), jnp.int32))
+    return lax.bitcast_convert_type(flipped(jnp.sort(bits)), jnp.float32)

@@ -180,7 +180,8 @@ def test_a_search_alone_gives_the_same_with_constant_numbers(loop: str):
     search = jax.jit(partial(searched, num_actions=num_actions, stop_reward=2.0, loop=loop, **options))
     for seed in range(12):
         table = random_table(seed, num_actions)._replace(stop_reward=F(2), discount=F(1))
-        assert_equals_python(search(jax.tree.map(jnp.asarray, table)), table, num_actions, **options)
+        result = jax.tree.map(np.asarray, search(jax.tree.map(jnp.asarray, table)))
+        assert_equals_python(result, table, num_actions, **options)
 
 
 def line(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -202,8 +203,9 @@ def test_the_thesis_numbers_are_34_expansions_of_9_children():
 
 
 def test_the_search_ends_with_the_first_expansion_beyond_the_stop_reward():
+    search = jax.jit(lambda stop: best_first_search(line, jnp.float32(10), 3, stop_reward=stop))
     for stop, expansions in ((-0.5, 1), (0.5, 1), (1, 2), (2, 3), (2.5, 3)):
-        result = best_first_search(line, jnp.float32(10), 3, stop_reward=stop)
+        result = search(F(stop))
         assert result.tree.num_nodes == 1 + 3 * expansions
         assert result.value == expansions
         assert result.tree.state[result.node] == 10 + expansions
@@ -211,7 +213,8 @@ def test_the_search_ends_with_the_first_expansion_beyond_the_stop_reward():
 
 
 def test_a_node_at_the_greatest_depth_is_never_expanded_and_the_frontier_runs_empty():
-    result = best_first_search(line, jnp.float32(0), 3, depth=2, max_nodes=1000, stop_reward=np.inf)
+    search = jax.jit(lambda x: best_first_search(line, x, 3, depth=2, max_nodes=1000, stop_reward=np.inf))
+    result = search(jnp.float32(0))
     assert result.tree.num_nodes == 1 + 3 + 9
     assert np.max(result.tree.depth) == 2
     assert np.all(np.asarray(result.tree.expansion)[np.asarray(result.tree.depth) == 2] == -1)
@@ -222,7 +225,7 @@ def test_where_every_action_is_forbidden_the_first_is_returned():
     def forbidden(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
         return state, jnp.float32(-np.inf)
 
-    result = best_first_search(forbidden, jnp.float32(0), 3)
+    result = jax.jit(lambda x: best_first_search(forbidden, x, 3))(jnp.float32(0))
     assert result.tree.num_nodes == 4
     assert (result.action, result.length, result.value) == (0, 1, -np.inf)
 
@@ -231,29 +234,28 @@ def test_ties_go_to_the_earliest_node():
     def same(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
         return state, jnp.float32(0)
 
-    result = best_first_search(same, jnp.int32(0), 2, depth=10, max_nodes=14)
+    result = jax.jit(lambda x: best_first_search(same, x, 2, depth=10, max_nodes=14))(jnp.int32(0))
     np.testing.assert_array_equal(result.tree.expansion[:7], np.arange(7))
     assert result.node == 1
 
 
 def test_the_last_reward_orders_otherwise_than_the_sum():
-    """After +2, -1 the sum is ahead of 0, 0; the last reward is behind it."""
-    table = np.array([[2, 0], [-1, -1], [0.25, 0.5]], F)
+    """After 2 and then -1 the sum is 1, ahead of 0; the last reward is behind it."""
+    rewards = jnp.asarray(np.array([[2, 0], [-1, -1], [0.25, 0.5]], F))
 
     def model(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return lax_clip(state * 2 + action + 1), jnp.asarray(table)[state, action]
-
-    def lax_clip(state: jax.Array) -> jax.Array:
-        return jnp.where(state > 2, 0, state)
+        after = state * 2 + action + 1
+        return jnp.where(after > 2, 0, after), rewards[state, action]
 
     orders = {}
     for priority in ("cumulative", "last_reward"):
-        tree = best_first_search(model, jnp.int32(0), 2, depth=3, max_nodes=6, priority=priority).tree
+        search = jax.jit(partial(best_first_search, model, num_actions=2, depth=3, max_nodes=6, priority=priority))
+        tree = search(jnp.int32(0)).tree
         orders[priority] = [int(np.argmax(np.asarray(tree.expansion) == turn)) for turn in range(3)]
     assert orders == {"cumulative": [0, 1, 3], "last_reward": [0, 1, 2]}
 
 
-def test_results_have_strong_types():
+def test_without_jit_a_python_number_is_a_state_and_results_have_strong_types():
     result = best_first_search(line, 1.5, 3)
     for leaf in jax.tree.leaves(result):
         assert leaf.dtype in (jnp.int32, jnp.float32)
@@ -261,7 +263,7 @@ def test_results_have_strong_types():
 
 
 def test_a_tree_becomes_python_nodes_and_edges():
-    result = best_first_search(line, jnp.float32(0), 3, stop_reward=1.0)
+    result = jax.jit(lambda x: best_first_search(line, x, 3, stop_reward=1.0))(jnp.float32(0))
     nodes = to_nodes(result.tree)
     assert [node.index for node in nodes] == list(range(7))
     assert [node.value for node in nodes] == [0, -1, 0, 1, 0, 1, 2]

@@ -28,6 +28,7 @@ from hrljax.envs.mario.generator import generate_level
 from hrljax.envs.mario.level import Level
 from hrljax.envs.mario.level_ascii import from_ascii
 from hrljax.envs.mario.quantum import check_quantum
+from hrljax.envs.mario.state import World
 from hrljax.envs.mario.tiles import TILE
 from hrljax.numerics import exact_product, opaque_zero, take
 from hrljax.random import WORD_BITS
@@ -99,7 +100,8 @@ class Mario(Environment[Episode, MarioParams]):
     quantum: int | None = None
 
     name = "Mario"
-    metrics = ("win", "death")
+    metrics = ("win", "death", "distance", "coins", "kills")
+    has_loops = True
     num_words = 0
     num_initial_words = 1
     renderer = "hrljax.envs.mario.state_render"
@@ -160,7 +162,8 @@ class Mario(Environment[Episode, MarioParams]):
         ends = terminated & (state.phase != OBSERVED)
         won = after.world.player.win_time > 0
         reward = _reward(state, after, params, ends, won)
-        return after, reward, terminated, {"win": ends & won, "death": ends & ~won}
+        info = {"win": ends & won, "death": ends & ~won, **_progress(state.world, after.world)}
+        return after, reward, terminated, info
 
     def _check_action(self, action: Any) -> None:
         if jnp.shape(action) != () or not jnp.issubdtype(jnp.result_type(action), jnp.integer):
@@ -190,16 +193,24 @@ def _action_name(action: tuple[int, int, int]) -> str:
     return " ".join(filter(None, parts)) or "no op"
 
 
+def _progress(before: World, after: World) -> dict[str, Array]:
+    """What a step brought, float32: tiles to the right, coins and kills."""
+    return {
+        "distance": (after.player.x - before.player.x) * np.float32(1 / TILE),
+        "coins": (after.coins - before.coins).astype(jnp.float32),
+        "kills": (after.kills - before.kills).astype(jnp.float32),
+    }
+
+
 def _reward(before: Episode, after: Episode, params: MarioParams, ends: Array, won: Array) -> Array:
     zero = opaque_zero(after.time.astype(jnp.uint32))
 
     def times(number: float, count: Array) -> Array:
         return exact_product(jnp.float32(number), count, zero)
 
-    old, new = before.world, after.world
-    moved = times(params.displacement_reward, (new.player.x - old.player.x) * np.float32(1 / TILE))
-    collected = times(params.coin_reward, (new.coins - old.coins).astype(jnp.float32))
-    collected = collected + times(params.kill_reward, (new.kills - old.kills).astype(jnp.float32))
+    progress = _progress(before.world, after.world)
+    moved = times(params.displacement_reward, progress["distance"])
+    collected = times(params.coin_reward, progress["coins"]) + times(params.kill_reward, progress["kills"])
     usual = jnp.float32(params.step_reward) + collected
     last = lax.select(won, jnp.float32(params.goal_reward), jnp.float32(params.death_reward))
     reward = lax.select(ends, last, usual) + moved

@@ -21,17 +21,17 @@ from hrljax.envs.mario.state import KIND_NAMES, MAX_SPRITES, WINGED, Player, Spr
 from hrljax.envs.mario.tiles import EMPTY, HEIGHT, SYMBOL_EXIT, SYMBOLS, TILE
 from hrljax.numerics import put_row, take
 
-_TILE_CHARACTERS = " $b?|1234567!"
+TILE_CHARACTERS = " $b?|1234567!"
 SYMBOL_NAMES = (
     "empty", "coin", "brick", "question block", "pipe", *(f"blocking {i}" for i in range(1, 7)), "solid", "exit",
     *KIND_NAMES[1:],
 )  # fmt: skip
 """Names of the symbols in a window, by number: the competition's tiles, the exit, the kinds of sprites."""
 NUM_SYMBOLS = len(SYMBOL_NAMES)
-SYMBOL_OF_KIND = len(_TILE_CHARACTERS) - 1
+SYMBOL_OF_KIND = len(TILE_CHARACTERS) - 1
 """What is added to a sprite's kind (1 to 9) to get its symbol."""
-_EXIT = np.int32(_TILE_CHARACTERS.index(chr(SYMBOL_EXIT)))
-_SYMBOL_OF_TILE = np.array([_TILE_CHARACTERS.index(chr(character)) for character in SYMBOLS], np.int32)
+_EXIT = np.int32(TILE_CHARACTERS.index(chr(SYMBOL_EXIT)))
+_SYMBOL_OF_TILE = np.array([TILE_CHARACTERS.index(chr(character)) for character in SYMBOLS], np.int32)
 
 NUM_TYPES = len(KIND_NAMES) - 1
 REACH = (21, 16)

@@ -6,9 +6,9 @@ from hrljax import xla
 def engine_options() -> dict[str, str | bool | int] | None:
     """Compiler options of a native loop over ticks; None where there are no native loops.
 
-    Those of `hrljax.xla.OPTIONS` but the region analysis of copies: with it, XLA drops copies that
-    the engine's nested loops need, and values are read after they were overwritten.
+    `hrljax.xla.NESTED_OPTIONS`: with the others sprites differ from the recordings, which the parity
+    tests would show. A loop that holds this engine, a learner's too, must be compiled with these.
     """
     if not xla.native_loops_available():
         return None
-    return {name: value for name, value in xla.OPTIONS.items() if "region_analysis" not in name}
+    return dict(xla.NESTED_OPTIONS)

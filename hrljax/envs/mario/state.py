@@ -12,8 +12,8 @@ from jax import Array, lax
 
 from hrljax.envs.mario.level import MONSTERS, PIRANHA
 
-MAX_SPRITES = 24
-"""Places for sprites. The recordings of the original never need more than 16."""
+MAX_SPRITES = 32
+"""Places for sprites; at most 32, as sets of places are bits of one word. No recorded game needs more than 16."""
 
 MUSHROOM, FLOWER, FIREBALL, SHELL = range(PIRANHA + 1, PIRANHA + 5)
 """Kinds of sprites besides the monsters of `hrljax.envs.mario.level`, whose numbers 1 to 5 are theirs too."""

@@ -1,0 +1,199 @@
+"""Infinite Mario by a model, by relational TD learning and by both (thesis Table 4.1 and Figure 4.5)."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from hrljax import plots, stats
+from hrljax.envs.mario import render
+from hrljax.envs.mario.competition import Episode
+from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.play import Action, Policy, Step, play
+from hrljax.envs.mario.tiles import TILE
+from hrljax.experiments.rows import interval_row
+from hrljax.learners.base import Moment, tabulated
+from hrljax.learners.relational import RelationalHORDQ, Tables
+from hrljax.learners.search_root import SearchRoot
+from hrljax.numerics import opaque_zero
+from hrljax.sweep import sweep
+from hrljax.train import train
+
+PSEUDO_REWARDS = (0.0, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
+FOLLOWS = 1e6
+"""A pseudo-reward that no value reaches: the agent follows its root."""
+WINDOW = 20
+"""Episodes of the moving average in the picture."""
+THESIS = {"SARSA": 1, "Model": 0, "Model+HORDQ(10)": 277, "Model+HORDQ(20)": 64}
+"""Levels finished in 1000 episodes (thesis Table 4.1)."""
+
+
+def environment() -> Mario:
+    """The thesis's level: seed 1247, type 0, difficulty 3."""
+    return Mario(preset="thesis")
+
+
+def name_of(pseudo_reward: float) -> str:
+    return "Model" if pseudo_reward >= FOLLOWS else f"Model+HORDQ({pseudo_reward:g})"
+
+
+def run(
+    env: Mario, root: SearchRoot, seeds: int, num_episodes: int, pseudo_rewards: Iterable[float], **options: Any
+) -> dict[str, xr.Dataset]:
+    """Every method's curve, one bin an episode; `options` as of `hrljax.sweep`."""
+    common = {"seeds": seeds, "num_episodes": num_episodes, "bin_size": 1, "chunk_size": 1, **options}
+    found = {"SARSA": sweep(env, RelationalHORDQ(), **common)}
+    axis = [*pseudo_rewards]
+    if found["SARSA"].attrs["complete"] and axis:
+        hybrid = sweep(env, RelationalHORDQ(root), axes={"pseudo_reward": axis}, **common)
+        found |= {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
+    return found
+
+
+def summary_row(name: str, dataset: xr.Dataset) -> dict[str, Any]:
+    """What one method did: levels finished in all episodes of a run, and how far it came."""
+    episodes = dataset.sizes["episode"]
+    per_run = dataset["win"].sum("episode", skipna=False)
+    return {
+        "name": name,
+        "finished": interval_row(stats.mean_interval(per_run)),
+        "finished_by_seed": [None if np.isnan(count) else int(count) for count in per_run.values],
+        "thesis": THESIS.get(name),
+        "distance": interval_row(stats.mean_interval(dataset["distance"].mean("episode", skipna=False))),
+        "return": interval_row(stats.mean_interval(dataset["return"].mean("episode", skipna=False))),
+        "deaths": float(dataset["death"].mean()) * episodes,
+        "steps": float(dataset["steps"].mean()),
+        "seeds": int(per_run.notnull().sum()),
+        "episodes": episodes,
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as text."""
+    lines = [f"{'':22}{'levels finished':>16}  {'95 %':>15}{'thesis':>8}{'distance':>10}{'return':>9}{'steps':>9}"]
+    for row in rows:
+        low, high = row["finished"]["lo"], row["finished"]["hi"]
+        ends = "" if low is None else f"{low:.1f} to {high:.1f}"
+        thesis = "" if row["thesis"] is None else str(row["thesis"])
+        lines.append(
+            f"{row['name']:22}{row['finished']['mean']:16.1f}  {ends:>15}{thesis:>8}{row['distance']['mean']:10.1f}"
+            f"{row['return']['mean']:9.1f}{row['steps']:9.0f}"
+        )
+    lines.append(f"of {rows[0]['episodes']} episodes, mean of {rows[0]['seeds']} seeds; distance in tiles")
+    return "\n".join(lines)
+
+
+def distance_picture(curves: dict[str, xr.Dataset]) -> Figure:
+    """The distance that Mario moves in each episode (thesis Figure 4.5)."""
+    figure = Figure(figsize=(9, 5.2), layout="constrained")
+    ax = plots.learning_curves(curves, "distance", window=WINDOW, ax=figure.subplots())
+    ax.set_ylabel(f"distance (tiles), moving average over {WINDOW} episodes")
+    ax.set_title("Level 1247, type 0, difficulty 3; the exit is 316 tiles away")
+    return figure
+
+
+def counts_picture(rows: list[dict[str, Any]]) -> Figure:
+    """Levels finished against the pseudo-reward, with the thesis's two."""
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    ax = figure.subplots()
+    for x, row in enumerate(rows):
+        reach = [[0.0], [0.0]]
+        if row["finished"]["lo"] is not None:
+            mean = row["finished"]["mean"]
+            reach = [[mean - row["finished"]["lo"]], [row["finished"]["hi"] - mean]]
+        ax.errorbar(x, row["finished"]["mean"], yerr=reach, fmt="o", color=plots.COLOURS[0], capsize=3)
+        if row["thesis"] is not None:
+            ax.plot(x, row["thesis"], "x", color=plots.COLOURS[1], ms=8)
+    ax.set_xticks(range(len(rows)), [row["name"].replace("Model+HORDQ", "") for row in rows], rotation=30)
+    ax.set_xlabel("method; a number is the pseudo-reward of Model+HORDQ")
+    ax.set_ylabel(f"levels finished of {rows[0]['episodes']}")
+    ax.set_title(f"circles: mean of {rows[0]['seeds']} seeds with 95 % intervals; crosses: the thesis")
+    ax.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+class Agent:
+    """A trained agent that plays without learning on."""
+
+    def __init__(self, env: Mario, learner: RelationalHORDQ, tables: Tables):
+        self.env, self.learner, self.tables = env, learner, tables
+        prepared = learner.prepare(env)
+        settled = tabulated(learner, 1)
+
+        def decide(tables: Tables, episode: Episode, word: jax.Array) -> jax.Array:
+            moment = Moment(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
+            return settled.begin(prepared, tables, episode, (word,), moment).action
+
+        def search(tables: Tables, episode: Episode) -> Any:
+            assert learner.root is not None
+            return learner.root.search(env, tables.root, episode)
+
+        self._decide, self.search = jax.jit(decide), jax.jit(search)
+
+    def policy(self, seed: int) -> Policy:
+        """Chooses as the learner does, exploration included."""
+        random = np.random.default_rng(seed)
+
+        def choose(episode: Episode) -> Action:
+            word = jnp.uint32(random.integers(1 << 24))
+            return self.env.action_table[int(self._decide(self.tables, episode, word))]
+
+        return choose
+
+
+def trained(env: Mario, learner: RelationalHORDQ, num_episodes: int, key: jax.Array) -> Agent:
+    """An agent after one run."""
+    learned = jax.jit(lambda key: train(env, learner, key, num_episodes, bin_size=num_episodes).learned)(key)
+    return Agent(env, learner, learned)
+
+
+def best_game(agent: Agent, tries: int, report: Callable[[int], None] = lambda _: None) -> list[Step]:
+    """The first finished game of some, or the one that came farthest."""
+    twin = Mario(seeds=agent.env.seeds, level_type=agent.env.level_type, difficulty=agent.env.difficulty,
+                 width=agent.env.width, levels=agent.env.levels, preset=agent.env.preset, actions="all")  # fmt: skip
+    best: list[Step] = []
+    for seed in range(tries):
+        steps = list(play(twin, agent.policy(seed)))
+        report(seed)
+        if not best or _place(steps) > _place(best):
+            best = steps
+        if int(steps[-1].episode.world.player.win_time) > 0:
+            break
+    return best
+
+
+def _place(steps: list[Step]) -> float:
+    return float(steps[-1].episode.world.player.x)
+
+
+def film(agent: Agent, steps: list[Step], path: Any) -> None:
+    """A GIF of a game, one picture every second tick."""
+    worlds = [world for step in steps for world in step.worlds][::2]
+    render.save_gif((render.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)
+
+
+def search_picture(agent: Agent, episode: Episode) -> Figure:
+    """A search tree drawn on the screen (thesis Figure 4.3(b))."""
+    found = agent.search(agent.tables, episode)
+    tree, pixels = found.tree, 32
+    camera = float(episode.world.camera)
+    figure = Figure(figsize=(10, 8), layout="constrained")
+    ax = figure.subplots()
+    ax.imshow(render.screen(agent.env.course, episode.world, tile_pixels=pixels, status=False))
+    x = (np.asarray(tree.state.x) - camera) * pixels / TILE
+    y = np.asarray(tree.state.y) * pixels / TILE
+    parent, number = np.asarray(tree.parent), int(tree.num_nodes)
+    for node in range(1, number):
+        ax.plot(x[[parent[node], node]], y[[parent[node], node]], color="white", lw=0.7, alpha=0.7)
+    ax.scatter(x[:number], y[:number], c=np.asarray(tree.value)[:number], s=14, cmap="viridis", zorder=3)
+    node = int(found.node)
+    while parent[node] >= 0:
+        ax.plot(x[[parent[node], node]], y[[parent[node], node]], color=plots.COLOURS[1], lw=2.2, zorder=4)
+        node = int(parent[node])
+    ax.set_title(f"{number - 1} nodes; the best sequence promises {float(found.value):+.2f}")
+    ax.set_axis_off()
+    return figure

@@ -1,0 +1,245 @@
+"""What was learned: one run's tables, on disk and as a policy."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.registry import make, registered
+from hrljax.files import write_atomically
+from hrljax.hierarchy import Hierarchy
+from hrljax.identity import as_attribute, differences, hierarchy_digest, options
+from hrljax.learners.base import Learner, Settings
+from hrljax.policy import Policy, from_hierarchical
+from hrljax.work import ENV_PREFIX, LEARNED, learned_shapes, named_leaves
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_FORMAT, _VERSION = "hrljax learned", 1
+_HEADER = "header"
+
+
+class Learned:
+    """What one run has learned.
+
+    Attributes:
+        env: the environment.
+        learner: the learner, with the hyper-parameters that it learned with.
+        tables: its tables, a tree of NumPy arrays; `hrljax.Run.learned`.
+    """
+
+    def __init__(self, env: TabularEnvironment[Any, Any], learner: Learner, tables: Any):
+        """
+        Raises:
+            ValueError: `tables` are not those of one run of `learner` on `env`.
+        """
+        self.env, self.learner = env, learner
+        self.tables = jax.tree.map(np.asarray, tables)
+        expected = learned_shapes(env, learner)
+        if _described(self.tables) != _described(expected):
+            raise ValueError(
+                f"tables must be those of one run of {learner.name} on {env.name}, {_described(expected)}, "
+                f"got {_described(self.tables)}"
+            )
+
+    @classmethod
+    def of(
+        cls, dataset: xr.Dataset, env: Any, learner: Learner, *, seed: int = 0, at: Mapping[str, float] | None = None
+    ) -> Learned:
+        """One run out of a sweep.
+
+        Args:
+            dataset: what ``hrljax.sweep(..., keep_learned=True)`` returned.
+            env: the environment of the sweep.
+            learner: the learner of the sweep.
+            seed: number of the seed.
+            at: the value along each axis.
+
+        Raises:
+            ValueError: the dataset has no tables, is of something else, or has not finished this run.
+            KeyError: a seed or a value that the dataset does not have.
+        """
+        at = dict(at or {})
+        axes = [str(dim) for dim in dataset["steps"].dims if dim != "seed"]
+        if set(at) != set(axes):
+            raise ValueError(f"at must give a value for each of {axes}, got {at}")
+        names = {"environment": env.name, "learner": learner.name}
+        wrong = differences({name: dataset.attrs.get(name) for name in names}, names)
+        if wrong:
+            raise ValueError(f"the dataset is of another sweep: {'; '.join(wrong)}")
+        run = dataset.sel({"seed": seed, **at})
+        if not np.isfinite(run["steps"]):
+            raise ValueError(f"the run of seed {seed} at {at} is not finished")
+        learner = learner.replaced({name: value for name, value in at.items() if not name.startswith(ENV_PREFIX)})
+        found = {str(name): run[name].values for name in run if str(name).startswith(LEARNED)}
+        if not found:
+            raise ValueError("the dataset has no tables; sweep with keep_learned=True")
+        return cls(env, learner, _tree(env, learner, found))
+
+    def policy(self, seed: int = 0) -> Policy:
+        """The greedy policy, in plain NumPy.
+
+        Args:
+            seed: of the choices of a root that chooses at random; other policies are deterministic.
+        """
+        prepared = self.learner.prepare(self.env)
+        tables = jax.tree.map(jnp.asarray, self.tables)
+        policy = self.learner.greedy_policy(self.env, prepared, tables, jnp.uint32(0))
+        return from_hierarchical(policy, np.random.default_rng(seed))
+
+    def save(self, path: str | Path) -> None:
+        """Writes one file, whole or not at all: the tables and what they belong to. It holds no code.
+
+        Raises:
+            OSError: `path` cannot be written.
+        """
+        tables = {name: np.asarray(leaf) for name, leaf in named_leaves(self.tables)}
+        header = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "hrljax": version("hrljax"),
+            **_settings(self.env, self.learner),
+            "tables": sorted(tables),
+        }
+        content = io.BytesIO()
+        np.savez(content, **{_HEADER: np.frombuffer(json.dumps(header).encode(), np.uint8)}, **tables)  # type: ignore[arg-type]
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content.getvalue())
+
+    @classmethod
+    def load(
+        cls, path: str | Path, env: TabularEnvironment[Any, Any] | None = None, learner: Learner | None = None
+    ) -> Learned:
+        """Reads a file that `save` wrote.
+
+        Args:
+            path: the file.
+            env: the environment; has to be given unless it is registered.
+            learner: the learner; has to be given if it has a schedule or a hierarchy other than
+                the environment's own.
+
+        Raises:
+            FileNotFoundError: there is no file.
+            ValueError: the file is damaged, no such file, of a version that is not known, or of
+                another environment or learner than those that are given. The message says which.
+        """
+        header, tables = _read(Path(path))
+        where = f"{path} holds what was learned"
+        if env is None:
+            name = header["environment"]
+            if name not in registered():
+                raise ValueError(f"{where} on {name!r}, which is not registered; give it as env")
+            env = make(name, **header["options"])
+        assert env is not None
+        learner = learner or _learner(env, header, where)
+        here = json.loads(json.dumps(_settings(env, learner)))
+        wrong = differences(_flat({name: header[name] for name in here}), _flat(here))
+        if wrong:
+            raise ValueError(f"{where} with other settings: {'; '.join(wrong)}")
+        if sorted(tables) != header["tables"]:
+            raise ValueError(f"{path} is damaged: it has the tables {sorted(tables)} instead of {header['tables']}")
+        return cls(env, learner, _tree(env, learner, tables))
+
+
+def _described(tables: Any) -> str:
+    return ", ".join(f"{name}: {leaf.dtype}{list(leaf.shape)}" for name, leaf in named_leaves(tables))
+
+
+def _tree(env: Any, learner: Learner, named: dict[str, np.ndarray]) -> Any:
+    """Tables with the leaves of given names."""
+    leaves, structure = jax.tree_util.tree_flatten_with_path(learned_shapes(env, learner))
+    names = [LEARNED + jax.tree_util.keystr(path) for path, _ in leaves]
+    missing = [name for name, (_, leaf) in zip(names, leaves, strict=True) if leaf.size and name not in named]
+    if missing:
+        raise ValueError(f"the tables {', '.join(missing)} of {learner.name} are missing; there are {sorted(named)}")
+    found = [named.get(n, np.zeros(leaf.shape, leaf.dtype)) for n, (_, leaf) in zip(names, leaves, strict=True)]
+    return jax.tree_util.tree_unflatten(structure, found)
+
+
+def _settings(env: Any, learner: Learner) -> dict[str, Any]:
+    """What tables belong to, as JSON has it."""
+    settings: dict[str, Any] = {}
+    for name, value in learner.settings().items():
+        if isinstance(value, Hierarchy):
+            settings[name] = {"hierarchy": hierarchy_digest(env, value)}
+        elif callable(value):
+            settings[name] = {"schedule": as_attribute(value)}
+        else:
+            settings[name] = value if value is None or isinstance(value, bool) else as_attribute(value)
+    return {
+        "environment": env.name,
+        "options": {
+            name: value if isinstance(value, int | float) else str(value) for name, value in options(env).items()
+        },
+        "learner": type(learner).__name__,
+        "settings": settings,
+    }
+
+
+def _flat(header: dict[str, Any]) -> dict[str, Any]:
+    settings = {f"learner.{name}": value for name, value in header["settings"].items()}
+    own = {ENV_PREFIX + name: value for name, value in header["options"].items()}
+    return {"environment": header["environment"], "learner": header["learner"], **own, **settings}
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    content = io.BytesIO(path.read_bytes())
+    try:
+        with np.load(content, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(arrays.pop(_HEADER).tobytes())
+        found = header["format"], header["version"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is damaged or was not written by hrljax: {error}") from error
+    if found != (_FORMAT, _VERSION):
+        raise ValueError(f"{path} is {found[0]!r} of version {found[1]}; known is {_FORMAT!r} of version {_VERSION}")
+    return header, arrays
+
+
+def _learner(env: Any, header: dict[str, Any], where: str) -> Learner:
+    """The learner that a header describes."""
+    settings: dict[str, Any] = {}
+    for name, value in header["settings"].items():
+        if isinstance(value, dict) and "schedule" in value:
+            raise ValueError(f"{where} with {name} as a schedule, which files do not hold; give the learner")
+        if isinstance(value, dict):
+            if value != {"hierarchy": hierarchy_digest(env, env.hierarchy())}:
+                raise ValueError(f"{where} with another hierarchy than {env.name}'s own; give the learner")
+            value = env.hierarchy()
+        settings[name] = value
+    return _built(Learner, header["learner"], settings, where)
+
+
+def _built(base: type[Any], name: str, settings: Mapping[str, Any], where: str) -> Any:
+    """An object of the subclass of `base` with a name, from settings as `Settings.settings` gives them."""
+    classes = {cls.__name__: cls for cls in _subclasses(base)}
+    if name not in classes:
+        raise ValueError(f"{where} by {name!r}, which is not known; import it or give the learner")
+    own: dict[str, Any] = {}
+    for key, value in settings.items():
+        if "." in key or key not in classes[name].__dataclass_fields__:
+            continue
+        nested = {k.removeprefix(f"{key}."): v for k, v in settings.items() if k.startswith(f"{key}.")}
+        is_settings = isinstance(value, str) and value in {cls.__name__ for cls in _subclasses(Settings)}
+        own[key] = _built(Settings, value, nested, where) if is_settings else value
+    fields = classes[name].__dataclass_fields__
+    return classes[name](**{key: value for key, value in own.items() if fields[key].init})
+
+
+def _subclasses(base: type[Any]) -> list[type[Any]]:
+    found = [base]
+    for cls in found:
+        found += cls.__subclasses__()
+    return found

@@ -1,0 +1,87 @@
+"""How often Mario finishes the thesis's level, by a model, by TD learning and by both (Table 4.1)."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import tyro
+
+from hrljax import results
+from hrljax.experiments import mario_hybrid
+from hrljax.experiments.rows import curves_csv
+from hrljax.learners.relational import RelationalHORDQ
+from hrljax.learners.search_root import SearchRoot
+from hrljax.train import check_count
+
+
+@dataclass(frozen=True)
+class Options:
+    """Levels finished in 1000 episodes (thesis Table 4.1), for many pseudo-rewards.
+
+    Writes table_4_1.csv (distance, wins and so on by episode), table_4_1.png (levels finished by
+    pseudo-reward), figure_4_5.png (distance by episode), a Zarr store for every method, finished.gif (a
+    finished level, or the farthest game), search.png (a search tree on the screen) and summary.json: a
+    list of "name", "finished" with "mean", "lo", "hi", "finished_by_seed", "thesis", "distance",
+    "return", "deaths", "steps", "seeds", "episodes".
+    """
+
+    seeds: int = 10
+    """Runs of each method."""
+    episodes: int = 1000
+    """Episodes of each run."""
+    pseudo_rewards: tuple[float, ...] = (*mario_hybrid.PSEUDO_REWARDS, mario_hybrid.FOLLOWS)
+    """Pseudo-rewards of Model+HORDQ; a million stands for the model alone."""
+    film: bool = True
+    """Whether to make the film and the picture of a search."""
+    out: Path = Path("runs/table_4_1")
+    """Folder for what is written."""
+    cores: int | None = None
+    """Cores to use; all if not given."""
+    key: int = 0
+    """Seed of all random numbers."""
+
+
+def main(options: Options) -> int:
+    check_count("--seeds", options.seeds)
+    check_count("--episodes", options.episodes)
+    check_count("--key", options.key, least=0)
+    options.out.mkdir(parents=True, exist_ok=True)
+    env, root = mario_hybrid.environment(), SearchRoot()
+    curves = mario_hybrid.run(
+        env, root, options.seeds, options.episodes, options.pseudo_rewards, cores=options.cores, key=options.key
+    )
+    rows = [mario_hybrid.summary_row(name, dataset) for name, dataset in curves.items()]
+    for i, dataset in enumerate(curves.values()):
+        results.save(dataset, options.out / "curves" / f"{i:02d}.zarr")
+    (options.out / "summary.json").write_text(json.dumps(rows, indent=1) + "\n")
+    (options.out / "table_4_1.csv").write_text(curves_csv(("", name, dataset) for name, dataset in curves.items()))
+    mario_hybrid.counts_picture(rows).savefig(options.out / "table_4_1.png", dpi=110)
+    shown = {name: curves[name] for name in mario_hybrid.THESIS if name in curves}
+    mario_hybrid.distance_picture(shown).savefig(options.out / "figure_4_5.png", dpi=110)
+    print(mario_hybrid.table(rows))
+    complete = all(dataset.attrs["complete"] for dataset in curves.values())
+    if complete and options.film:
+        best = max((k for k in options.pseudo_rewards), key=lambda k: _finished(rows, mario_hybrid.name_of(k)))
+        learner = RelationalHORDQ(root, pseudo_reward=best)
+        agent = mario_hybrid.trained(env, learner, options.episodes, jax.random.key(options.key))
+        game = mario_hybrid.best_game(agent, tries=20)
+        mario_hybrid.film(agent, game, options.out / "finished.gif")
+        middle = game[len(game) // 2].episode
+        mario_hybrid.search_picture(agent, middle).savefig(options.out / "search.png", dpi=100)
+    print(f"\nwritten to {options.out}")
+    if not complete:
+        print("interrupted: only what was finished is there", file=sys.stderr)
+    return 0 if complete else 130
+
+
+def _finished(rows: list[dict], name: str) -> float:
+    return next(row["finished"]["mean"] or 0.0 for row in rows if row["name"] == name)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(Options)))
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
