@@ -8,6 +8,7 @@ deterministic in explicit random words (`hrljax.random`): a training loop feeds 
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
 import gymnasium
@@ -60,6 +61,13 @@ def check_options(env: object, options: Mapping[str, tuple[Any, ...]]) -> None:
             raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
 
 
+def check_render_mode(env: "Environment[Any, Any]", mode: object) -> None:
+    """Raises ValueError unless `env` can draw in `mode`."""
+    if mode not in env.render_modes:
+        allowed = ", ".join(map(repr, env.render_modes)) or f"nothing, for {env.name} has no pictures"
+        raise ValueError(f"render mode must be one of {allowed}; got {mode!r}")
+
+
 class Environment(ABC, Generic[State, Params]):
     """An episodic environment with a finite set of actions.
 
@@ -77,6 +85,8 @@ class Environment(ABC, Generic[State, Params]):
     """Random words that one `transition` uses."""
     num_initial_words: ClassVar[int]
     """Random words that one `initial` uses."""
+    renderer: ClassVar[str | None] = None
+    """A module with ``text(env, state)`` and ``rgb_array(env, state)``; loaded with the first picture."""
 
     @property
     def num_actions(self) -> int:
@@ -116,6 +126,21 @@ class Environment(ABC, Generic[State, Params]):
     def action_space(self) -> gymnasium.spaces.Discrete:
         """The Gymnasium space of actions."""
         return gymnasium.spaces.Discrete(self.num_actions)
+
+    @property
+    def render_modes(self) -> tuple[str, ...]:
+        """What `render` can do."""
+        return () if self.renderer is None else ("ansi", "rgb_array")
+
+    def render(self, state: State, mode: str = "ansi") -> str | np.ndarray:
+        """A picture of a state: a text for ``"ansi"``, ``[H, W, 3]`` uint8 for ``"rgb_array"``.
+
+        Raises:
+            ValueError: `mode` is none of `render_modes`.
+        """
+        check_render_mode(self, mode)
+        module = import_module(str(self.renderer))
+        return module.text(self, state) if mode == "ansi" else module.rgb_array(self, state)
 
     def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
         """Starts an episode: ``obs, state``. Consumes `key`."""

@@ -76,6 +76,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
     metrics = ("damage", "breakdown")
     num_words = 3
     num_initial_words = 1
+    renderer = "hrljax.envs.bus_render"
 
     def __post_init__(self) -> None:
         check_options(self, _OPTIONS)

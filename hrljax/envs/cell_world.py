@@ -69,6 +69,7 @@ class CellWorld(TabularEnvironment[CellState, Params], Generic[Params]):
     """For each action the index of its move in `hrljax.envs.ascii_map.MOVES`."""
     num_words = 1
     num_initial_words = 1
+    renderer = "hrljax.envs.cell_render"
 
     @property
     @abstractmethod

@@ -104,6 +104,7 @@ class Taxi(TabularEnvironment[TaxiState, Any]):
     metrics = ("illegal",)
     num_words = 2
     num_initial_words = 3
+    renderer = "hrljax.envs.taxi_render"
 
     def __post_init__(self) -> None:
         check_options(self, _OPTIONS)

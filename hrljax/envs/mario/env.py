@@ -104,6 +104,7 @@ class Mario(Environment[Episode, MarioParams]):
     has_loops = True
     num_words = 0
     num_initial_words = 1
+    renderer = "hrljax.envs.mario.state_render"
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:

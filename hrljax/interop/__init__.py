@@ -1,0 +1,1 @@
+"""The environments for other libraries: `hrljax.interop.gymnasium` and `hrljax.interop.gymnax`."""
