@@ -6,7 +6,7 @@ From curves to one number a run (`curves`), from runs to numbers with intervals 
 
 from hrljax.stats.comparisons import paired_differences, probability_of_improvement
 from hrljax.stats.curves import area_under_curve, episode_range, episodes_to_reach, smoothed
-from hrljax.stats.intervals import bootstrap_interval, interquartile_mean, mean, mean_interval
+from hrljax.stats.intervals import bootstrap_interval, estimate, interquartile_mean, mean, mean_interval
 from hrljax.stats.resampling import Method, Statistic
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "bootstrap_interval",
     "episode_range",
     "episodes_to_reach",
+    "estimate",
     "interquartile_mean",
     "mean",
     "mean_interval",

@@ -8,9 +8,21 @@ from hrljax.stats import resampling
 from hrljax.stats.resampling import Method, Statistic
 
 
+def estimate(values: xr.DataArray, statistic: Statistic, dim: str = "seed") -> xr.DataArray:
+    """A statistic over a dimension; NaN entries (unfinished runs) do not count, infinite ones do.
+
+    Raises:
+        ValueError: an unknown statistic.
+    """
+    resampling.check_choice("statistic", statistic, Statistic)
+    return xr.apply_ufunc(
+        resampling.estimates, values, kwargs={"statistic": statistic}, input_core_dims=[[dim]], keep_attrs=True
+    )
+
+
 def mean(values: xr.DataArray, dim: str = "seed") -> xr.DataArray:
     """The mean over a dimension; NaN entries (unfinished runs) do not count."""
-    return _located(values, "mean", dim)
+    return estimate(values, "mean", dim)
 
 
 def interquartile_mean(values: xr.DataArray, dim: str = "seed") -> xr.DataArray:
@@ -18,13 +30,7 @@ def interquartile_mean(values: xr.DataArray, dim: str = "seed") -> xr.DataArray:
 
     A quarter of the runs, rounded down, is left out at either end, as by `scipy.stats.trim_mean`.
     """
-    return _located(values, "interquartile_mean", dim)
-
-
-def _located(values: xr.DataArray, statistic: Statistic, dim: str) -> xr.DataArray:
-    return xr.apply_ufunc(
-        resampling.estimates, values, kwargs={"statistic": statistic}, input_core_dims=[[dim]], keep_attrs=True
-    )
+    return estimate(values, "interquartile_mean", dim)
 
 
 def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) -> xr.Dataset:

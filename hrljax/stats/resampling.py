@@ -24,11 +24,16 @@ class Interval(NamedTuple):
     high: np.ndarray
 
 
+def check_choice(name: str, value: str, allowed: Any) -> None:
+    """Raises ValueError unless the value is one of those of a literal type."""
+    if value not in get_args(allowed):
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, get_args(allowed)))}, got {value!r}")
+
+
 def check(level: float, resamples: int, statistic: str = "mean", method: str = "percentile") -> None:
     """Raises ValueError for arguments of a bootstrap that make no sense."""
-    for name, value, allowed in (("statistic", statistic, Statistic), ("method", method, Method)):
-        if value not in get_args(allowed):
-            raise ValueError(f"{name} must be one of {', '.join(map(repr, get_args(allowed)))}, got {value!r}")
+    check_choice("statistic", statistic, Statistic)
+    check_choice("method", method, Method)
     if not 0 < level < 1:
         raise ValueError(f"level must be in (0, 1), got {level!r}")
     if isinstance(resamples, bool) or not isinstance(resamples, int | np.integer) or resamples < 1:
