@@ -21,8 +21,8 @@ class Options:
     of every domain and learner, and summary.json with "exact" (for each domain: "optimal", "epsilon_soft"
     and "random", expected returns), "best" (for each domain and learner: its best "step_size" and
     "pseudo_reward"; "mean_return", "interquartile_mean" and "final_return" with "mean", "lo", "hi";
-    "episodes_to_reach" nine tenths of the way from random to epsilon-soft, the median, null if half never
-    do; the share of runs that "reached" it; "seeds", "steps_per_second", "seconds", "compile_seconds") and
+    "episodes_to_reach" half of the way from random to epsilon-soft, the median, null if half of the runs
+    never do; the share of runs that "reached" it; "seeds", "steps_per_second", "seconds", "compile_seconds") and
     "comparisons" (HORDQ with each other learner, both at their best: "probability_of_improvement" and
     "paired_difference" of the mean return). The defaults take about five minutes on two cores.
     """
@@ -54,35 +54,33 @@ def main(options: Options) -> int:
     rows, best, comparisons, complete = [], [], [], True
     for name in options.domains:
         found[name] = {}
-        for learner, dataset in learning_rates.run(
-            known[name],
-            exact[name],
+        settings = (
             options.step_sizes,
             options.pseudo_rewards,
             options.seeds,
             options.scale,
             options.cores,
             options.key,
-        ):
-            found[name][learner] = dataset
-            results.save(dataset, options.out / "stores" / f"{name}-{learner}.zarr")
-            rows += [
-                learning_rates.setting_row(name, learner, dataset, setting)
-                for setting in learning_rates.settings(dataset)
-            ]
-            best.append(learning_rates.best_row(name, learner, dataset))
-            seconds = best[-1]["seconds"] + best[-1]["compile_seconds"]
-            print(f"{name}: {learner:12} {seconds:6.1f} s", file=sys.stderr, flush=True)
-            complete = complete and bool(dataset.attrs["complete"])
+        )
+        try:
+            for learner, dataset in learning_rates.run(known[name], exact[name], *settings):
+                results.save(dataset, options.out / "stores" / f"{name}-{learner}.zarr")
+                found[name][learner] = dataset
+                rows += learning_rates.setting_rows(name, learner, dataset)
+                best.append(learning_rates.best_row(name, learner, dataset))
+                seconds = best[-1]["seconds"] + best[-1]["compile_seconds"]
+                print(f"{name}: {learner:12} {seconds:6.1f} s", file=sys.stderr, flush=True)
+                complete = complete and bool(dataset.attrs["complete"])
+        except KeyboardInterrupt:
+            complete = False
         comparisons += learning_rates.comparisons(name, found[name])
         if not complete:
             break
     summary = {"exact": exact, "best": best, "comparisons": comparisons}
     (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     (options.out / "learning_rates.csv").write_text(learning_rates.csv(rows))
-    learning_rates_pictures.heat_maps(found).savefig(options.out / "heat_maps.png", dpi=110)
-    learning_rates_pictures.sensitivity(found, exact).savefig(options.out / "sensitivity.png", dpi=110)
-    learning_rates_pictures.intervals(found, exact).savefig(options.out / "intervals.png", dpi=110)
+    for name, figure in learning_rates_pictures.pictures(found, exact).items():
+        figure.savefig(options.out / f"{name}.png", dpi=110)
     print(learning_rates.table(best, comparisons))
     print(f"\nwritten to {options.out}")
     if not complete:

@@ -1,5 +1,6 @@
 """How fast learners learn, and how much that depends on step size and pseudo-reward: Maze, Taxi and Bus."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,7 @@ from hrljax.learners.hierarchical import HORDQ, MAXQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
 from hrljax.sweep import sweep
 
-SHARE = 0.9
+SHARE = 0.5
 """Of the way from random actions to the best epsilon-soft policy, for the episodes to reach it."""
 
 _BINS = 48
@@ -173,12 +174,13 @@ def best(dataset: xr.Dataset) -> dict[str, float]:
     return {str(name): float(means[name][index]) for name, index in place.items()}
 
 
-def settings(dataset: xr.Dataset) -> Iterator[dict[str, float]]:
-    """Every setting of the hyper-parameters."""
-    stacked = dataset["mean_return"].isel(seed=0).stack(setting=[...])
-    names = [name for name in dataset["mean_return"].dims if name != "seed"]
-    for values in zip(*(stacked[name].values for name in names), strict=True):
-        yield {str(name): float(value) for name, value in zip(names, values, strict=True)}
+def setting_rows(domain: str, learner: str, dataset: xr.Dataset) -> list[dict[str, Any]]:
+    """The numbers of every setting."""
+    axes = {str(dim): dataset[dim].values for dim in dataset["mean_return"].dims if dim != "seed"}
+    return [
+        setting_row(domain, learner, dataset, dict(zip(axes, map(float, values), strict=True)))
+        for values in itertools.product(*axes.values())
+    ]
 
 
 def setting_row(domain: str, learner: str, dataset: xr.Dataset, setting: dict[str, float]) -> dict[str, Any]:
@@ -266,7 +268,7 @@ def table(rows: list[dict[str, Any]], comparisons: list[dict[str, Any]]) -> str:
             f"{row['domain'] + ': ' + row['learner']:20}{row['step_size']:10g}{pseudo:>10}"
             f"  {interval(row['mean_return'], '7.2f')}  {interval(row['interquartile_mean'], '7.2f')}"
             f"{number(row['final_return']['mean'], '9.2f')}{row['reached']:9.1%}"
-            f"{number(row['episodes_to_reach'], '7.0f')}"
+            f"{'never' if row['episodes_to_reach'] is None else format(row['episodes_to_reach'], '.0f'):>7}"
         )
     lines += ["", f"{'run by run':36}{'probability of improvement':>28}{'paired difference':>28}"]
     for row in comparisons:

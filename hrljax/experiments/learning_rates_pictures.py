@@ -4,20 +4,38 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hrljax import plots
+from hrljax import plots, stats
 from hrljax.experiments.learning_rates import best
 
 Results = dict[str, dict[str, xr.Dataset]]
 
 
+def pictures(results: Results, values: dict[str, dict[str, float]]) -> dict[str, Figure]:
+    """All pictures by name, of what has finished; none if nothing has.
+
+    Args:
+        results: datasets of `learning_rates.run` by domain and learner.
+        values: those of `learning_rates.exact` by domain.
+    """
+    finished = {
+        domain: {name: dataset for name, dataset in found.items() if dataset["mean_return"].notnull().any()}
+        for domain, found in results.items()
+    }
+    shown = {domain: found for domain, found in finished.items() if found}
+    if not shown:
+        return {}
+    figures = {"sensitivity": sensitivity(shown, values), "intervals": intervals(shown, values)}
+    return figures | ({"heat_maps": heat_maps(shown)} if _hierarchical(shown) else {})
+
+
 def heat_maps(results: Results) -> Figure:
     """Mean return over step size and pseudo-reward of every hierarchical learner, a row for each domain."""
     names = _hierarchical(results)
-    figure = Figure(figsize=(6.6 * max(1, len(names)), 3.5 * len(results)), layout="constrained")
-    panels = figure.subplots(len(results), max(1, len(names)), squeeze=False)
+    figure = Figure(figsize=(6.6 * len(names), 3.5 * len(results)), layout="constrained")
+    panels = figure.subplots(len(results), len(names), squeeze=False)
     for (domain, found), row in zip(results.items(), panels, strict=True):
         shown = {name: found[name]["mean_return"] for name in names if name in found}
-        means = [values.mean("seed") for values in shown.values()]
+        means = [stats.estimate(values, "mean") for values in shown.values()]
         for name, ax in zip(names, row, strict=False):
             if name in shown:
                 limits = float(min(m.min() for m in means)), float(max(m.max() for m in means))
@@ -34,7 +52,7 @@ def sensitivity(results: Results, values: dict[str, dict[str, float]]) -> Figure
     figure = Figure(figsize=(5.6 * len(results), 8.6), layout="constrained")
     panels = figure.subplots(2, len(results), squeeze=False, sharex="col", sharey="col")
     for number, (domain, found) in enumerate(results.items()):
-        references = {"best epsilon-soft": values[domain]["epsilon_soft"], "random": values[domain]["random"]}
+        references = {"best epsilon-soft": values[domain]["epsilon_soft"]}
         learners = dict(_at_best_pseudo_reward(name, dataset) for name, dataset in found.items())
         above, below = panels[:, number]
         plots.sensitivity(learners, "step_size", references=references, ax=above)
@@ -55,14 +73,14 @@ def sensitivity(results: Results, values: dict[str, dict[str, float]]) -> Figure
 
 def intervals(results: Results, values: dict[str, dict[str, float]]) -> Figure:
     """Mean and interquartile mean of every learner at its best setting."""
-    figure = Figure(figsize=(8.4, 2.7 * len(results)), layout="constrained")
+    figure = Figure(figsize=(9.6, 2.5 * len(results)), layout="constrained")
     panels: list[Axes] = list(figure.subplots(len(results), 1, squeeze=False)[:, 0])
     for (domain, found), ax in zip(results.items(), panels, strict=True):
         chosen = {}
         for name, dataset in found.items():
             setting = best(dataset)
-            described = ", ".join(f"{value:g}" for value in setting.values())
-            chosen[f"{name} at {described}"] = dataset["mean_return"].sel(setting, drop=True)
+            described = ", ".join(f"{key.replace('_', ' ')} {value:g}" for key, value in setting.items())
+            chosen[f"{name}, {described}"] = dataset["mean_return"].sel(setting, drop=True)
         plots.intervals(chosen, references={"best epsilon-soft": values[domain]["epsilon_soft"]}, ax=ax)
         ax.set_title(domain, loc="right")
     return figure

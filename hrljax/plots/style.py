@@ -93,7 +93,7 @@ def references(ax: Axes, values: Mapping[str, float] | None, vertical: bool = Fa
 
 
 def tidy(ax: Axes, legend_above: bool = False) -> None:
-    """A legend without a frame, and no lines where nothing is measured."""
+    """A legend that lets the picture shine through, and no lines where nothing is measured."""
     above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 1), "ncols": 4}
-    ax.legend(fontsize="small", frameon=False, **(above if legend_above else {}))
+    ax.legend(fontsize="small", edgecolor="none", framealpha=0.8, **(above if legend_above else {}))
     ax.spines[["top", "right"]].set_visible(False)
