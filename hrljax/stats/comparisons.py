@@ -90,10 +90,10 @@ def _improvement(
     of_first, of_second = np.random.default_rng(key).spawn(2)
     drawn = np.empty(resamples)
     block = max(len(first), len(second))
-    left = resampling.counts_of_resamples(of_first, len(first), resamples, block)
-    right = resampling.counts_of_resamples(of_second, len(second), resamples, block)
-    for (rows, counts), (_, others) in zip(left, right, strict=True):
-        below = np.concatenate([np.zeros((len(others), 1)), others.cumsum(-1)], axis=-1)
-        drawn[rows] = (counts * (below[:, worse] + below[:, not_better])).sum(-1) / (2 * pairs)
+    left = resampling.resampled(of_first, len(first), resamples, block)
+    right = resampling.resampled(of_second, len(second), resamples, block)
+    for (rows, index), (_, others) in zip(left, right, strict=True):
+        below = np.concatenate([np.zeros((len(others), 1)), resampling.counted(others).cumsum(-1)], axis=-1)
+        drawn[rows] = (resampling.counted(index) * (below[:, worse] + below[:, not_better])).sum(-1) / (2 * pairs)
     low, high = resampling.quantiles(drawn, np.array([(1 - level) / 2, (1 + level) / 2]))
     return probability, low, high

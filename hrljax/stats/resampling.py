@@ -1,7 +1,4 @@
-"""The bootstrap on plain arrays (Efron and Tibshirani 1993).
-
-A resample is how often it holds each value, a statistic a weight for each rank: nothing is sorted twice.
-"""
+"""The bootstrap on plain arrays (Efron and Tibshirani 1993) of means that leave out the same share at either end."""
 
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, get_args
@@ -12,7 +9,7 @@ from scipy import special
 Statistic = Literal["mean", "interquartile_mean", "median"]
 Method = Literal["percentile", "bca"]
 
-_BLOCK = 1 << 22
+_BLOCK = 1 << 20
 """Numbers that are held at a time, about."""
 
 
@@ -85,20 +82,24 @@ def bootstrap(
     return Interval(*(part.reshape(samples.shape[:-1]) for part in result))
 
 
-def counts_of_resamples(
+def resampled(
     rng: np.random.Generator, size: int, resamples: int, widest: int | None = None
 ) -> Iterator[tuple[slice, np.ndarray]]:
-    """How often each of `size` values is drawn in each resample: blocks of rows ``[rows, size]``, and where they lie.
+    """Which of `size` values each resample holds: blocks of rows ``[rows, size]``, and where they lie.
 
     Generators with the same `widest` go in step.
     """
     rows = max(1, _BLOCK // (widest or size))
     for start in range(0, resamples, rows):
         stop = min(start + rows, resamples)
-        index = rng.integers(0, size, (stop - start, size))
-        index += size * np.arange(stop - start)[:, None]
-        drawn = np.bincount(index.ravel(), minlength=index.size)
-        yield slice(start, stop), drawn.reshape(index.shape).astype(np.float64)
+        yield slice(start, stop), rng.integers(0, size, (stop - start, size))
+
+
+def counted(index: np.ndarray) -> np.ndarray:
+    """How often each value is in each resample, ``[rows, size]`` float64."""
+    rows, size = index.shape
+    places = index + size * np.arange(rows)[:, None]
+    return np.bincount(places.ravel(), minlength=index.size).reshape(index.shape).astype(np.float64)
 
 
 def quantiles(values: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -117,26 +118,17 @@ def _replicates(samples: np.ndarray, statistic: Statistic, resamples: int, key: 
     """The statistic of every resample of every sample, ``[samples, resamples]``."""
     size = samples.shape[-1]
     cut = trimmed(statistic, size)
-    kept = size - 2 * cut
-    order = np.argsort(samples, axis=-1, kind="stable")
     found = np.empty((len(samples), resamples))
-    for rows, counts in counts_of_resamples(np.random.default_rng(key), size, resamples):
+    for rows, index in resampled(np.random.default_rng(key), size, resamples):
         if cut == 0 and np.isfinite(samples).all():
-            found[:, rows] = samples @ counts.T / kept
+            found[:, rows] = samples @ counted(index).T / size
             continue
-        for number, (sample, ranked) in enumerate(zip(samples, order, strict=True)):
-            last = counts[:, ranked].cumsum(-1)
-            np.clip(last, cut, size - cut, out=last)
-            weights = np.diff(last, axis=-1, prepend=cut)
-            found[number, rows] = _weighted(weights, sample[ranked]) / kept
+        for number, sample in enumerate(samples):
+            drawn = sample[index]
+            drawn.sort(axis=-1)
+            with np.errstate(invalid="ignore"):
+                found[number, rows] = drawn[:, cut : size - cut].mean(-1)
     return found
-
-
-def _weighted(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """``weights @ values`` where an infinite value of weight 0 does not count."""
-    finite = np.isfinite(values)
-    total = weights[:, finite] @ values[finite]
-    return total if finite.all() else total + np.where(weights[:, ~finite] > 0, values[~finite], 0).sum(-1)
 
 
 def _corrected(
