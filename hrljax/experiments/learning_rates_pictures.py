@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from hrljax import plots, stats
 from hrljax.experiments.learning_rates import best
+from hrljax.plots import style
 
 Results = dict[str, dict[str, xr.Dataset]]
 
@@ -79,7 +80,7 @@ def intervals(results: Results, values: dict[str, dict[str, float]]) -> Figure:
         chosen = {}
         for name, dataset in found.items():
             setting = best(dataset)
-            described = ", ".join(f"{key.replace('_', ' ')} {value:g}" for key, value in setting.items())
+            described = ", ".join(f"{style.readable(key)} {value:g}" for key, value in setting.items())
             chosen[f"{name}, {described}"] = dataset["mean_return"].sel(setting, drop=True)
         plots.intervals(chosen, references={"best epsilon-soft": values[domain]["epsilon_soft"]}, ax=ax)
         ax.set_title(domain, loc="right")

@@ -46,7 +46,7 @@ def intervals(
         middle, low, high = np.where(np.isfinite(found), found, np.nan).T
         place = rows + apart * (number - (len(statistics) - 1) / 2)
         ax.hlines(place, low, high, color=line["color"], lw=3, alpha=0.45)
-        ax.plot(middle, place, marker, color=line["color"], ms=6, label=style.statistic_name(statistic))
+        ax.plot(middle, place, marker, color=line["color"], ms=6, label=style.readable(statistic))
     ax.set_yticks(rows, [f"{name} ({style.finished(runs)})" for name, runs in values.items()])
     ax.set_ylim(len(values) - 0.5, -0.5)
     style.references(ax, references, vertical=True)

@@ -61,6 +61,6 @@ def learning_curves(
     style.references(ax, references)
     ax.set_xlabel("episode")
     shown = style.label(next(iter(named.values()))[variable])
-    ax.set_ylabel(shown if statistic == "mean" else f"{shown}, {style.statistic_name(statistic)}")
+    ax.set_ylabel(shown if statistic == "mean" else f"{shown}, {style.readable(statistic)}")
     style.tidy(ax)
     return ax

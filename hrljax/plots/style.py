@@ -38,10 +38,14 @@ def markers() -> Iterator[str]:
     return itertools.cycle(_MARKERS)
 
 
-def label(values: xr.DataArray, name: Hashable | None = None) -> str:
+def readable(name: Hashable) -> str:
+    """The name of a variable or a hyper-parameter as people write it."""
+    return str(name).replace("pseudo_reward", "pseudo-reward").replace("_", " ")
+
+
+def label(values: xr.DataArray) -> str:
     """What an axis shows, with its units where they are known."""
-    named = str(values.name if name is None else name)
-    text = values.attrs.get("long_name") or named.replace("pseudo_reward", "pseudo-reward").replace("_", " ")
+    text = values.attrs.get("long_name") or readable(values.name)
     units = values.attrs.get("units")
     return f"{text} ({units})" if units else text
 
@@ -66,11 +70,6 @@ def interval(values: xr.DataArray, statistic: Statistic) -> tuple[xr.DataArray, 
     else:
         found = stats.bootstrap_interval(values, statistic)
     return found[statistic], found["low"], found["high"]
-
-
-def statistic_name(statistic: Statistic) -> str:
-    """The name of a statistic as people write it."""
-    return statistic.replace("_", " ")
 
 
 def check_seeds(values: xr.DataArray, what: str, *allowed: Hashable) -> None:

@@ -76,7 +76,7 @@ def heat_map(
     below, above = bool((drawn < low).any()), bool((drawn > high).any())
     extend = "both" if below and above else "min" if below else "max" if above else "neither"
     ax.figure.colorbar(image, ax=ax, label=style.label(values), extend=extend)
-    ax.set_title(f"{title + ', ' if title else ''}{style.statistic_name(statistic)} ({style.finished(values)})")
+    ax.set_title(f"{title + ', ' if title else ''}{style.readable(statistic)} ({style.finished(values)})")
     ax.spines[:].set_visible(False)
     return ax
 
@@ -124,7 +124,7 @@ def sensitivity(
             middle, low, high = (part.where(np.isfinite(part)) for part in style.interval(runs, statistic))
             line, marker = next(styles), next(markers)
             described = " ".join(part for part in (name, f"{lines}={value:g}" if value is not None else "") if part)
-            described = described or style.statistic_name(statistic)
+            described = described or style.readable(statistic)
             place = array[x].values
             ax.plot(place, middle, **line, marker=marker, ms=4, lw=1.4, label=f"{described} ({style.finished(runs)})")
             ax.fill_between(place, low, high, color=line["color"], alpha=0.25, lw=0)
@@ -137,6 +137,6 @@ def sensitivity(
     style.references(ax, references)
     first = next(iter(named.values()))
     ax.set_xlabel(style.label(first[x]))
-    ax.set_ylabel(f"{style.label(first)}, {style.statistic_name(statistic)}")
+    ax.set_ylabel(f"{style.label(first)}, {style.readable(statistic)}")
     style.tidy(ax)
     return ax
