@@ -63,7 +63,7 @@ def described(tree: Any) -> list[tuple[Any, ...]]:
 
 
 def test_every_registered_environment_has_a_variant_here():
-    assert {env.name for env, _ in VARIANTS.values()} == set(hrl.registered())
+    assert {env.name for env, _ in VARIANTS.values()} | {"Mario"} == set(hrl.registered())  # Mario is not tabular
 
 
 @pytest.mark.parametrize("name", ["Bus", "Gridworld", "Maze", "Taxi"])

@@ -1,0 +1,8 @@
+"""Pictures of results. Figures are made without pyplot: no display, no global state."""
+
+from hrljax.plots.comparisons import intervals
+from hrljax.plots.curves import learning_curves
+from hrljax.plots.style import COLOURS
+from hrljax.plots.sweeps import heat_map, sensitivity
+
+__all__ = ["COLOURS", "heat_map", "intervals", "learning_curves", "sensitivity"]

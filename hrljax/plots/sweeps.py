@@ -1,0 +1,142 @@
+"""Pictures over swept hyper-parameters: heat maps and sensitivity."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
+
+from hrljax import stats
+from hrljax.plots import style
+from hrljax.stats import Statistic
+
+_MOST_TICKS = 12
+"""Swept values up to which each gets a tick."""
+
+
+def heat_map(
+    values: xr.DataArray,
+    x: str,
+    y: str,
+    *,
+    statistic: Statistic = "mean",
+    limits: tuple[float, float] | None = None,
+    best: Literal["greatest", "least"] | None = "greatest",
+    title: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """A statistic over seeds for every combination of two swept hyper-parameters, as colours and numbers.
+
+    Args:
+        values: one number a run, with the dimensions `x`, `y` and ``seed``, such as
+            ``stats.episode_range(curves["return"], 0, 1000)``. NaN (unfinished) and infinite
+            (a threshold that is never reached) statistics stay grey.
+        x: the dimension to the right.
+        y: the dimension upwards.
+        statistic: of the seeds.
+        limits: values of the darkest and the lightest colour; those of the statistic if None.
+        best: which cell gets a frame.
+        title: what is shown; the statistic and the number of seeds follow.
+        ax: where to draw; a new figure if None.
+
+    Returns:
+        The axes; ``ax.figure.savefig`` saves the picture.
+
+    Raises:
+        ValueError: other dimensions, or no finished run.
+    """
+    if x == y:
+        raise ValueError(f"x and y must differ, got {x!r} twice")
+    style.check_seeds(values, "values", x, y)
+    if best not in ("greatest", "least", None):
+        raise ValueError(f"best must be 'greatest', 'least' or None, got {best!r}")
+    found = stats.estimate(values, statistic).transpose(y, x)
+    cells = found.values
+    drawn = np.ma.masked_invalid(cells)
+    low, high = limits or ((drawn.min(), drawn.max()) if drawn.count() else (0, 1))
+    ax = style.axes(ax, 2.4 + 0.75 * cells.shape[1], 1.8 + 0.55 * cells.shape[0])
+    colours = colormaps[style.COLOUR_MAP].with_extremes(bad="#dddddd")
+    norm = Normalize(low, high)
+    image = ax.imshow(drawn, cmap=colours, norm=norm, origin="lower", aspect="auto", interpolation="nearest")
+    for (row, column), value in np.ndenumerate(cells):
+        dark = np.isfinite(value) and norm(value) < 0.6
+        text = f"{value:.3g}" if np.isfinite(value) else "never" if np.isinf(value) else "none"
+        ax.text(column, row, text, ha="center", va="center", size="small", color="white" if dark else "black")
+    if best and drawn.count():
+        row, column = np.unravel_index(drawn.argmax() if best == "greatest" else drawn.argmin(), cells.shape)
+        ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, ec="#D55E00", lw=2.5, clip_on=False))
+    ax.set_xticks(range(cells.shape[1]), [f"{value:g}" for value in found[x].values])
+    ax.set_yticks(range(cells.shape[0]), [f"{value:g}" for value in found[y].values])
+    ax.set_xlabel(style.label(values[x]))
+    ax.set_ylabel(style.label(values[y]))
+    below, above = bool((drawn < low).any()), bool((drawn > high).any())
+    extend = "both" if below and above else "min" if below else "max" if above else "neither"
+    ax.figure.colorbar(image, ax=ax, label=style.label(values), extend=extend)
+    ax.set_title(f"{title + ', ' if title else ''}{style.readable(statistic)} ({style.finished(values)})")
+    ax.spines[:].set_visible(False)
+    return ax
+
+
+def sensitivity(
+    values: xr.DataArray | Mapping[str, xr.DataArray],
+    x: str,
+    *,
+    lines: str | None = None,
+    statistic: Statistic = "mean",
+    references: Mapping[str, float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """A statistic over seeds against a swept hyper-parameter, with bands of 95 % intervals.
+
+    The axis is logarithmic where the values are positive and span a factor of ten.
+
+    Args:
+        values: one number a run, with the dimensions `x`, ``seed`` and perhaps `lines`; or several by
+            name. Infinite statistics leave a gap.
+        x: the hyper-parameter to the right.
+        lines: a hyper-parameter each of whose values gets a line; needed if there is another dimension.
+        statistic: of the seeds.
+        references: horizontal lines by name.
+        ax: where to draw; a new figure if None.
+
+    Returns:
+        The axes; ``ax.figure.savefig`` saves the picture.
+
+    Raises:
+        ValueError: no values, other dimensions, or no finished run.
+    """
+    named = {"": values} if isinstance(values, xr.DataArray) else dict(values)
+    if not named:
+        raise ValueError("values must hold at least one array, got none")
+    for name, array in named.items():
+        more = (lines,) if lines is not None and (lines in array.dims or len(named) == 1) else ()
+        style.check_seeds(array, repr(name) if name else "values", x, *more)
+    ax = style.axes(ax)
+    styles, markers = style.lines(), style.markers()
+    for name, array in named.items():
+        chosen = array[lines].values if lines in array.dims else [None]
+        for value in chosen:
+            runs = array if value is None else array.sel({lines: value})
+            middle, low, high = (part.where(np.isfinite(part)) for part in style.interval(runs, statistic))
+            line, marker = next(styles), next(markers)
+            described = " ".join(part for part in (name, f"{lines}={value:g}" if value is not None else "") if part)
+            described = described or style.readable(statistic)
+            place = array[x].values
+            ax.plot(place, middle, **line, marker=marker, ms=4, lw=1.4, label=f"{described} ({style.finished(runs)})")
+            ax.fill_between(place, low, high, color=line["color"], alpha=0.25, lw=0)
+    places = np.unique(np.concatenate([array[x].values for array in named.values()]))
+    if places[0] > 0 and places[-1] >= 10 * places[0]:
+        ax.set_xscale("log")
+    if len(places) <= _MOST_TICKS:
+        ax.set_xticks(places, [f"{place:g}" for place in places])
+        ax.minorticks_off()
+    style.references(ax, references)
+    first = next(iter(named.values()))
+    ax.set_xlabel(style.label(first[x]))
+    ax.set_ylabel(f"{style.label(first)}, {style.readable(statistic)}")
+    style.tidy(ax)
+    return ax

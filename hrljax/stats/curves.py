@@ -1,0 +1,131 @@
+"""From the curve of a run to fewer numbers: moving averages, ranges, areas, and how soon a value is reached."""
+
+import math
+
+import numpy as np
+import xarray as xr
+
+
+def smoothed(values: xr.DataArray, window: int) -> xr.DataArray:
+    """The moving average over a window of episodes, as far as whole bins allow.
+
+    Bins weigh as much as they have episodes: the last may have fewer. The first averages are over
+    what there is of the window.
+
+    Raises:
+        ValueError: the window is smaller than a bin, or there is no dimension ``episode``.
+    """
+    weights = xr.DataArray(_episodes_in_bins(values, "episode"), coords={"episode": values["episode"]})
+    whole = _bins_in(window, values, "episode")
+
+    def summed(terms: xr.DataArray) -> xr.DataArray:
+        return terms.rolling(episode=whole, min_periods=1).sum()
+
+    average = summed(values * weights) / summed(weights.where(values.notnull()))
+    return average.transpose(*values.dims).rename(values.name).assign_attrs(values.attrs)
+
+
+def episode_range(values: xr.DataArray, first: int, last: int) -> xr.DataArray:
+    """The mean over the episodes after `first` up to `last`, both ends of bins.
+
+    Raises:
+        ValueError: an end is not the end of a bin, or no bin is between them.
+    """
+    ends = np.concatenate([[0], values["episode"].values])
+    for end in (first, last):
+        if end not in ends:
+            raise ValueError(f"episode {end} is not the end of a bin")
+    if first >= last:
+        raise ValueError(f"first must be less than last, got {first} and {last}")
+    inside = values.sel(episode=(values["episode"] > first) & (values["episode"] <= last))
+    weights = xr.DataArray(np.diff(ends), coords={"episode": values["episode"]}).sel(episode=inside["episode"])
+    return inside.weighted(weights).mean("episode", skipna=False).assign_attrs(values.attrs)
+
+
+def area_under_curve(
+    values: xr.DataArray, first: int = 0, last: int | None = None, reference: float = 0.0
+) -> xr.DataArray:
+    """The sum over episodes of a value per episode, less a reference: the area between the two.
+
+    With the optimum as the reference of a return, it is the negative regret.
+
+    Args:
+        values: means per episode of bins, along ``episode``.
+        first: the sum begins after this episode, the end of a bin (or 0).
+        last: and ends with this one, the end of a bin; the last of the run if None.
+        reference: what is subtracted in every episode.
+
+    Raises:
+        ValueError: an end is not the end of a bin, or no bin is between them.
+    """
+    last = int(values["episode"].values[-1]) if last is None else last
+    area = (episode_range(values, first, last) - reference) * (last - first)
+    unit = values.attrs.get("units")
+    name = f"area under {values.attrs.get('long_name', values.name)}"
+    return area.assign_attrs({"long_name": name, "units": f"{unit} x episodes" if unit else "episodes"})
+
+
+def episodes_to_reach(
+    values: xr.DataArray,
+    target: float,
+    *,
+    share: float = 1.0,
+    baseline: float = 0.0,
+    window: int | None = None,
+    along: str = "episode",
+) -> xr.DataArray:
+    """Episodes until a moving average is for the first time at least a threshold.
+
+    The threshold is `share` of the way from `baseline` to `target`. Returns are often negative, and
+    then a share of the optimum means nothing without a baseline, such as the return of random actions.
+
+    Args:
+        values: a value where more is better.
+        target: what to reach, for example the optimum.
+        share: in (0, 1].
+        baseline: where the way begins; below `target`, and used only if `share` is less than 1.
+        window: episodes of the moving average, as far as whole bins allow; a bin if None. Averages
+            over less than the window do not count. Only along ``episode``.
+        along: the dimension of time, ``"episode"`` or ``"checkpoint"``.
+
+    Returns:
+        The last episode of the first window that reaches the threshold, in episodes, without the
+        dimension `along`; infinity for a run that never does, NaN for one that was not finished.
+
+    Raises:
+        ValueError: a bad `share`, `baseline` or `window`.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"share must be in (0, 1], got {share!r}")
+    if not math.isfinite(target):
+        raise ValueError(f"target must be a finite number, got {target!r}")
+    if share < 1 and not baseline < target:
+        raise ValueError(f"baseline must be less than the target {target:g}, got {baseline!r}")
+    threshold = target if share == 1 else baseline + share * (target - baseline)
+    average = values
+    if window is not None:
+        if along != "episode":
+            raise ValueError(f"window must be None along {along!r}, got {window!r}")
+        average = smoothed(values, window).isel(episode=slice(_bins_in(window, values, along) - 1, None))
+    reached = average >= threshold
+    time = average[along].astype(np.float64)
+    first = time.where(reached, np.inf).min(along)
+    return first.where(values.notnull().all(along)).assign_attrs(
+        {"long_name": f"episodes to reach {threshold:.4g}", "units": "episodes"}
+    )
+
+
+def _episodes_in_bins(values: xr.DataArray, along: str) -> np.ndarray:
+    """Episodes of each bin, relative to the first."""
+    if along not in values.dims:
+        raise ValueError(f"values must have a dimension {along!r}, got {', '.join(map(str, values.dims)) or 'none'}")
+    ends = values[along].values
+    return np.diff(ends, prepend=0) / ends[0]
+
+
+def _bins_in(window: int, values: xr.DataArray, along: str) -> int:
+    """Whole bins in a window of episodes, at most those of the run."""
+    bin_size = int(values[along].values[0])
+    if window < bin_size:
+        raise ValueError(f"window must be at least a bin of {bin_size} episodes, got {window}")
+    return min(window // bin_size, values.sizes[along])

@@ -1,0 +1,82 @@
+"""What the pictures of learning curves show."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hrljax.plots import COLOURS, learning_curves
+from hrljax.stats import mean_interval, smoothed
+from tests.curves import EPISODES, curve
+
+
+def labels(ax: Axes) -> list[str]:
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_one_dataset_is_one_curve_with_its_band():
+    data = curve()
+    ax = learning_curves(data)
+    assert labels(ax) == ["HORDQ (n=6)"]
+    (line,), (band,) = ax.lines, ax.collections
+    np.testing.assert_allclose(line.get_xydata(), np.stack([EPISODES, data["return"].mean("seed")], -1))
+    interval = mean_interval(data["return"])
+    edges = band.get_paths()[0].vertices
+    assert edges[:, 1].min() == pytest.approx(float(interval["low"].min()))
+    assert edges[:, 1].max() == pytest.approx(float(interval["high"].max()))
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("episode", "return per episode")
+
+
+def test_every_combination_of_an_axis_is_a_curve():
+    data = curve(3, **{"pseudo_reward": [0.0, 5.0], "env.slip_probability": [0.1, 0.25, 0.5]})
+    ax = learning_curves({"flat": curve(), "deep": data}, "length", references={"optimum": 20.0, "limit": 1000.0})
+    expected = [f"pseudo_reward={k}, env.slip_probability={p}" for k in (0, 5) for p in (0.1, 0.25, 0.5)]
+    assert labels(ax) == [
+        "flat (n=6)",
+        *(f"deep {setting} (n=3)" for setting in expected),
+        "optimum 20.00",
+        "limit 1000.00",
+    ]
+    assert len(ax.collections) == 7
+    assert len({line.get_color() for line in ax.lines[:7]}) == 7
+    np.testing.assert_allclose(ax.lines[4].get_ydata(), data["length"].sel(pseudo_reward=5).mean("seed")[0])
+    assert [float(line.get_ydata()[0]) for line in ax.lines[7:]] == [20, 1000]
+    assert ax.get_ylabel() == "steps per episode (steps)"
+
+
+def test_labels_count_the_finished_runs():
+    data = curve()
+    assert labels(learning_curves({"one": data.where(data["seed"] < 4)})) == ["one (n=4)"]
+
+
+def test_a_window_smooths_the_curve():
+    data = curve()
+    (line,) = learning_curves(data, window=20).lines
+    np.testing.assert_allclose(line.get_ydata(), smoothed(data["return"], 20).mean("seed"))
+
+
+def test_greedy_returns_are_curves_over_checkpoints():
+    values = np.random.default_rng(2).normal(size=(2, 5, 3))
+    dims = ("pseudo_reward", "seed", "checkpoint")
+    coordinates = {"pseudo_reward": [0.0, 5.0], "seed": np.arange(5), "checkpoint": [20, 40, 60]}
+    ax = learning_curves(xr.Dataset({"greedy_return": (dims, values)}, coordinates), "greedy_return")
+    assert len(ax.lines) == 2
+    assert ax.lines[0].get_xdata().tolist() == [20, 40, 60]
+    assert labels(ax) == ["pseudo_reward=0 (n=5)", "pseudo_reward=5 (n=5)"]
+
+
+def test_there_are_colours_for_any_number_of_curves():
+    many = len(COLOURS) * 11
+    assert len(learning_curves(curve(2, step_size=np.linspace(0.01, 1, many).tolist())).lines) == many
+
+
+def test_curves_are_drawn_where_the_caller_wants_and_can_be_saved(tmp_path: Path):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert learning_curves(curve(), ax=right) is right
+    assert not left.lines
+    learning_curves(curve()).figure.savefig(tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
