@@ -113,3 +113,38 @@ def test_a_file_in_the_place_of_the_folder_is_told_by_the_program(tmp_path: Path
     assert done.stderr.count("\n") == 1
     assert str(tmp_path / "file") in done.stderr
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_three_kinds_of_optimality_and_what_was_reached(tmp_path: Path):
+    script, out = FIGURE_4_2.with_name("optimality.py"), tmp_path / "runs"
+    options = ["--seeds", "3", "--scale", "0.2", "--domains", "Maze", "--out", str(out)]
+    done = subprocess.run([sys.executable, script, *options], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in out.iterdir()} == {"maze.png", "task_graph.png", "optimality.csv", "summary.json"}
+    summary = json.loads((out / "summary.json").read_text())
+    (exact,) = summary["exact"]
+    assert exact["hierarchically_optimal"] == pytest.approx(-6.7857, abs=1e-4)
+    assert exact["recursively_optimal"] == pytest.approx(-7.0714, abs=1e-4)
+    reached = {row["learner"]: row["greedy"]["mean"] for row in summary["reached"]}
+    assert reached["HORDQ"] == pytest.approx(exact["hierarchically_optimal"], abs=1e-3)
+    assert reached["MAXQ-Q"] < exact["hierarchically_optimal"] - 0.2
+    assert "recursively optimal" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--domains", "Moon"], "--domains must be among Maze, Taxi, Bus, got 'Moon'"),
+        (["--scale", "0"], r"--scale must be in \(0, 1000\), got 0.0"),
+    ],
+    ids=str,
+)
+def test_bad_options_of_optimality_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+):
+    script = FIGURE_4_2.with_name("optimality.py")
+    monkeypatch.setattr(sys, "argv", [str(script), "--out", str(tmp_path / "out"), *options])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(script), run_name="__main__")
+    assert re.fullmatch(f"error: {message}", str(ended.value.code))
+    assert not (tmp_path / "out").exists()

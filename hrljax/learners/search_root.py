@@ -9,7 +9,7 @@ from jax import Array, lax
 from hrljax.envs.mario.env import Mario
 from hrljax.learners.base import Experience, Hyperparameter, Moment, Settings, hyperparameter
 from hrljax.models.mario_model import Learned, MarioModel, Replay, body_of
-from hrljax.planners.best_first import Count, Priority, SearchResult, best_first_search
+from hrljax.planners.best_first import Answer, Count, Priority, SearchResult, best_first_search
 
 
 class SearchTables(NamedTuple):
@@ -35,7 +35,7 @@ class SearchRoot(Settings):
     Attributes:
         stop_reward: the search ends when a sequence promises more.
         model: how the model is learned.
-        depth, max_nodes, count, priority: see `hrljax.planners.best_first.best_first_search`.
+        depth, max_nodes, count, priority, answer: see `hrljax.planners.best_first.best_first_search`.
         follow: searches at ``"every_step"``, or follows a ``"sequence"`` to its end.
         refit_interval: episodes between two fits of the model.
     """
@@ -46,6 +46,7 @@ class SearchRoot(Settings):
     max_nodes: int = 300
     count: Count = "generated"
     priority: Priority = "cumulative"
+    answer: Answer = "any"
     follow: Literal["every_step", "sequence"] = "every_step"
     refit_interval: int = 1
 
@@ -76,6 +77,7 @@ class SearchRoot(Settings):
             max_nodes=self.max_nodes,
             count=self.count,
             priority=self.priority,
+            answer=self.answer,
             stop_reward=jnp.asarray(self.stop_reward, jnp.float32),
         )
 

@@ -25,6 +25,7 @@ from hrljax.numerics import exact_product, opaque_zero, put_row, take, take_row
 ModelFn = Callable[[Any, Array], tuple[Any, Array]]
 Count = Literal["generated", "expanded"]
 Priority = Literal["cumulative", "last_reward"]
+Answer = Literal["any", "leaf"]
 Loop = Literal["while", "scan"]
 
 _CLOSED = np.int32(np.iinfo(np.int32).min)
@@ -98,6 +99,7 @@ class _Problem:
     max_depth: int
     max_expansions: int
     priority: Priority
+    answer: Answer
     stop_rank: Array
     discount: Array | None  # None: 1
 
@@ -111,13 +113,14 @@ def best_first_search(
     max_nodes: int = 300,
     count: Count = "generated",
     priority: Priority = "cumulative",
+    answer: Answer = "any",
     stop_reward: Array | float = 6.0,
     discount: Array | float = 1.0,
     loop: Loop = "while",
 ) -> SearchResult:
     """Searches for the sequence of at most `depth` actions with the greatest predicted reward.
 
-    The best node is the one of greatest value at any depth of at least 1. Ties, here and in the
+    The best node is the one of greatest value (see `answer`) at a depth of at least 1. Ties, here and in the
     frontier, go to the node that was generated first, so among siblings to the lowest action. A
     value or priority of -inf or nan is never preferred to any number and never expanded; if all
     are such, the best sequence is action 0.
@@ -134,6 +137,8 @@ def best_first_search(
             started is completed, so 300 means 34 expansions of 9 children) or ``"expanded"``.
         priority: the frontier's order: ``"cumulative"`` value, or ``"last_reward"``, the reward of
             the step that leads to a node.
+        answer: the best node may be ``"any"``, or only a ``"leaf"``, a node that was not expanded: then
+            a promising node whose children are all bad is no answer.
         stop_reward: the search ends after an expansion with a child of greater value.
         discount: in [0, 1]; the reward of a step from depth d counts ``discount ** d`` times.
         loop: ``"while"`` leaves early, best in native loops; ``"scan"`` runs the greatest number of
@@ -142,13 +147,14 @@ def best_first_search(
     Raises:
         TypeError, ValueError: an argument is not as described.
     """
-    _check_options(num_actions, depth, max_nodes, count, priority, loop)
+    _check_options(num_actions, depth, max_nodes, count, priority, answer, loop)
     problem = _Problem(
         model,
         num_actions,
         depth,
         max_expansions=max_nodes if count == "expanded" else -(-max_nodes // num_actions),
         priority=priority,
+        answer=answer,
         stop_rank=_rank(_number("stop_reward", stop_reward)),
         discount=None if isinstance(discount, int | float) and discount == 1 else _number("discount", discount, 0, 1),
     )
@@ -309,9 +315,18 @@ def _put_rows(rows: Array, start: Array, new: Array) -> Array:
 
 def _result(problem: _Problem, search: _Search) -> SearchResult:
     tree = _tree(problem, search)
-    actions = _actions_to(problem, search, search.best)
+    best = search.best if problem.answer == "any" else _best_leaf(tree, search.best)
+    actions = _actions_to(problem, search, best)
     length = jnp.sum((actions >= 0).astype(jnp.int32))
-    return SearchResult(actions, length, actions[0], take(search.value, search.best), search.best, tree)
+    return SearchResult(actions, length, actions[0], take(search.value, best), best, tree)
+
+
+def _best_leaf(tree: Tree, otherwise: Array) -> Array:
+    """The first of the nodes of greatest value that were not expanded."""
+    numbers = np.arange(len(tree.value), dtype=np.int32)
+    is_leaf = (tree.expansion < 0) & (numbers > 0) & (numbers < tree.num_nodes)
+    node, rank = _first_max(jnp.where(is_leaf, _rank(tree.value), _CLOSED))
+    return lax.select(rank > _CLOSED, node, otherwise)
 
 
 def _tree(problem: _Problem, search: _Search) -> Tree:
@@ -357,13 +372,21 @@ def _actions_to(problem: _Problem, search: _Search, node: Array) -> Array:
     return lax.fori_loop(0, longest, to_parent, (node, jnp.full(problem.max_depth, -1, jnp.int32)))[1]
 
 
-def _check_options(num_actions: int, depth: int, max_nodes: int, count: str, priority: str, loop: str) -> None:
+def _check_options(
+    num_actions: int, depth: int, max_nodes: int, count: str, priority: str, answer: str, loop: str
+) -> None:
     for name, value in (("num_actions", num_actions), ("depth", depth), ("max_nodes", max_nodes)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise TypeError(f"{name} must be an integer, got {value!r}")
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value!r}")
-    for name, value, allowed in (("count", count, Count), ("priority", priority, Priority), ("loop", loop, Loop)):
+    choices = (
+        ("count", count, Count),
+        ("priority", priority, Priority),
+        ("answer", answer, Answer),
+        ("loop", loop, Loop),
+    )
+    for name, value, allowed in choices:
         if value not in get_args(allowed):
             raise ValueError(f"{name} must be one of {', '.join(map(repr, get_args(allowed)))}, got {value!r}")
 
