@@ -11,6 +11,7 @@ _xla.request_native_loops()
 from hrljax import solvers  # noqa: E402
 from hrljax.envs.base import Environment, TabularEnvironment  # noqa: E402
 from hrljax.envs.registry import make, register, registered  # noqa: E402
+from hrljax.estimate import plan  # noqa: E402
 from hrljax.hierarchy import Abstraction, Hierarchy, Subtask  # noqa: E402
 from hrljax.leaf_covers import inaccessible, total_leaf_cover  # noqa: E402
 from hrljax.learned import Learned  # noqa: E402
@@ -26,7 +27,6 @@ from hrljax.learners.roots import ModelRoot, RandomRoot  # noqa: E402
 from hrljax.learners.search_root import SearchRoot  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
 from hrljax.models.mario_model import MarioModel  # noqa: E402
-from hrljax.plan import plan  # noqa: E402
 from hrljax.planners.best_first import best_first_search  # noqa: E402
 from hrljax.results import load, save  # noqa: E402
 from hrljax.sweep import sweep  # noqa: E402

@@ -117,7 +117,7 @@ def test_a_file_in_the_place_of_the_folder_is_told_by_the_program(tmp_path: Path
 
 def test_three_kinds_of_optimality_and_what_was_reached(tmp_path: Path):
     script, out = FIGURE_4_2.with_name("optimality.py"), tmp_path / "runs"
-    options = ["--seeds", "3", "--scale", "0.2", "--domains", "Maze", "--out", str(out)]
+    options = ["--seeds", "5", "--domains", "Maze", "--out", str(out)]
     done = subprocess.run([sys.executable, script, *options], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in out.iterdir()} == {"maze.png", "task_graph.png", "optimality.csv", "summary.json"}

@@ -18,19 +18,20 @@ from jax import Array, lax
 
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
+from hrljax.envs.mario.state import MAX_SPRITES
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.learners.search_root import SearchRoot
 from hrljax.numerics import exact_product, put_row, take_row
 
 Concepts = tuple[Array, Array]
-"""Numbers of the concepts that hold (int32 [24], those that do first) and how many they are (int32)."""
+"""Numbers of the concepts that hold (int32 [MAX_SPRITES], those that do first) and how many they are (int32)."""
 
 
 class Trail(NamedTuple):
     """The last L updates that eligibility reaches back to, in a ring."""
 
-    cells: Array  # [L, 24] int32
+    cells: Array  # [L, MAX_SPRITES] int32
     counts: Array  # [L] int32
     actions: Array  # [L] int32
     length: Array  # int32: entries of this episode
@@ -115,7 +116,7 @@ class RelationalHORDQ(Learner):
         trail: Any = ()
         if self.trace_length:
             places = jnp.zeros(self.trace_length, jnp.int32)
-            cells = jnp.zeros((self.trace_length, 24), jnp.int32)
+            cells = jnp.zeros((self.trace_length, MAX_SPRITES), jnp.int32)
             trail = Trail(cells, places, places, jnp.int32(0))
         root: Any = () if self.root is None else self.root.init(prepared.env)
         plan: Any = () if self.root is None else self.root.no_plan()

@@ -16,6 +16,7 @@ from hrljax.envs.taxi import Taxi
 from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.hierarchy import Hierarchy, Subtask
 from hrljax.leaf_covers import total_leaf_cover
+from hrljax.learners.task_graph import task_graph
 from hrljax.learners.task_tables import tabulate
 from hrljax.solvers import (
     Model,
@@ -145,7 +146,9 @@ def test_a_policy_has_the_value_that_the_learners_evaluation_gives_it():
     policy[1:] = np.eye(4)[actions]
     process = joint_process(hierarchy, tables.active, SMALL.model(params))
     value = decompose(process, process.weights(policy)).value[0]
-    by_learners = HierarchicalPolicy(jnp.asarray(actions), tables.active[1:], jnp.asarray(choice.T, jnp.float32))
+    by_learners = HierarchicalPolicy(
+        task_graph(hierarchy, SMALL, root_learns=False), jnp.asarray(actions), jnp.asarray(choice.T, jnp.float32)
+    )
     evaluated = jax.jit(lambda: expected_return(SMALL, by_learners, params, jnp.uint32(0)))()
     assert float(SMALL.initial_distribution() @ value) == pytest.approx(float(evaluated), rel=1e-3)
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import hrljax
-from hrljax.plan import Plan, plan
+from hrljax.estimate import Plan, plan
 
 MAZE, LEARNER = hrljax.make("Maze"), hrljax.QLearning()
 SWEEP: dict[str, Any] = {"seeds": 10, "num_episodes": 1000, "axes": {"step_size": [0.125, 0.25, 0.5]}, "chunk_size": 4}
@@ -15,7 +15,7 @@ SWEEP: dict[str, Any] = {"seeds": 10, "num_episodes": 1000, "axes": {"step_size"
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock on which everything that is measured takes a second."""
     clock = itertools.count()
-    monkeypatch.setattr("hrljax.plan.time.perf_counter", lambda: float(next(clock)))
+    monkeypatch.setattr("hrljax.estimate.time.perf_counter", lambda: float(next(clock)))
 
 
 def test_a_plan_counts_and_extrapolates(monkeypatch: pytest.MonkeyPatch):
@@ -54,7 +54,7 @@ def test_a_chunk_in_lockstep_takes_as_long_as_its_longest_run(monkeypatch: pytes
 
 def test_evaluations_are_measured_apart(monkeypatch: pytest.MonkeyPatch):
     seconds = iter([0, 1, 0, 2, 0, 2, 0, 2, 0, 1, 0, 5, 0, 5, 0, 5])
-    monkeypatch.setattr("hrljax.plan.time.perf_counter", lambda: float(next(seconds)))
+    monkeypatch.setattr("hrljax.estimate.time.perf_counter", lambda: float(next(seconds)))
     found = plan(MAZE, LEARNER, seeds=2, num_episodes=40, bin_size=4, evaluate_every=2, mapping="native", chunk_size=2)
     assert found.seconds_per_chunk == pytest.approx(2 * (2 + 5 * 3))
 
