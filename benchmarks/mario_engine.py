@@ -145,7 +145,8 @@ def vmapped(course: Course, size: int, ticks: int, cores: int) -> Contestant:
     """A batch of games in lock-step; XLA decides about cores."""
     seeds = jnp.arange(size, dtype=jnp.uint32)
     began = time.perf_counter()
-    compiled = jax.jit(jax.vmap(play, (None, 0, None))).lower(course, seeds, jnp.int32(ticks)).compile()
+    batched = jax.jit(jax.vmap(play, (None, 0, None)), compiler_options=engine_options())
+    compiled = batched.lower(course, seeds, jnp.int32(ticks)).compile()
     seconds = time.perf_counter() - began
 
     def run() -> int:

@@ -59,7 +59,9 @@ def compile_mapped(
     `nested` says that its steps hold loops of their own, see `hrljax.xla.NESTED_OPTIONS`.
     """
     if mapping == "vmap":
-        return jax.jit(jax.vmap(function))
+        # Inner loops become native on a CPU even here, and cannot call its thread pool.
+        on_cpu = nested and jax.default_backend() == "cpu" and xla.native_loops_available()
+        return jax.jit(jax.vmap(function), compiler_options=dict(xla.NESTED_OPTIONS) if on_cpu else None)
     options = xla.NESTED_OPTIONS if nested else xla.OPTIONS
     return jax.jit(lambda rows: lax.map(function, rows), compiler_options=dict(options))
 
