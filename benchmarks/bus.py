@@ -11,9 +11,7 @@ all of them; the median is reported. Compile time is apart.
 
 import json
 import platform
-import statistics
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -31,8 +29,10 @@ from hrljax.learners.task_tables import planning_points, tabulate
 
 try:
     from benchmarks import numba_bus
+    from benchmarks.rounds import Contestant, measure
 except ModuleNotFoundError:
     import numba_bus
+    from rounds import Contestant, measure
 
 _SEEDS = 8
 """Runs a core of a contestant in a round."""
@@ -64,17 +64,6 @@ class Options:
     """Where to write the rows."""
     peers: bool = True
     """Whether to run the slow peers too."""
-
-
-@dataclass
-class Contestant:
-    """`run` does one round and returns the steps taken."""
-
-    case: str
-    name: str
-    cores: int
-    run: Callable[[], int]
-    compile_seconds: float = 0.0
 
 
 def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds: int = _SEEDS) -> Contestant:
@@ -186,29 +175,6 @@ def by_simple_rl(episodes: int) -> Contestant:
     return Contestant("Q-learning", "simple_rl, one Python call a step", 1, run)
 
 
-def measure(contestants: list[Contestant], rounds: int) -> list[dict[str, Any]]:
-    """Runs everybody in turns; the rows of the result."""
-    speeds: dict[int, list[float]] = {i: [] for i in range(len(contestants))}
-    for number in range(rounds):
-        for i, contestant in enumerate(contestants):
-            began = time.perf_counter()
-            steps = contestant.run()
-            speeds[i].append(steps / (time.perf_counter() - began) / 1e6)
-        print(f"round {number + 1} of {rounds}", flush=True)
-    return [
-        {
-            "case": c.case,
-            "contestant": c.name,
-            "cores": c.cores,
-            "value": statistics.median(speeds[i]),
-            "best": max(speeds[i]),
-            "unit": "million steps/s",
-            "compile_seconds": c.compile_seconds,
-        }
-        for i, c in enumerate(contestants)
-    ]
-
-
 def report(rows: list[dict[str, Any]]) -> str:
     """The rows as a table, with ratios to the numba loop of the same case and cores."""
     lines = [f"{'case':32}{'contestant':48}{'cores':>5}{'median':>9}{'best':>9}{'of numba':>10}{'compile s':>11}"]
@@ -238,7 +204,7 @@ def main(options: Options) -> None:
     if options.peers:
         contestants.append(native("Q-learning", 1, options.episodes // 10, "vmap", seeds=64))
         contestants += [plain_vmap(options.cores, options.episodes), by_simple_rl(options.episodes)]
-    rows = measure(contestants, options.rounds)
+    rows = measure(contestants, options.rounds, "million steps/s", 1e6)
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "numba", "simple_rl"))
     print(report(rows))
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")

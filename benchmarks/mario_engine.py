@@ -29,9 +29,7 @@ not inflate; a tick costs about 0.5 microseconds):
 
 import json
 import platform
-import statistics
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -52,6 +50,12 @@ from hrljax.envs.mario.sprite_list import when
 from hrljax.envs.mario.state import JUMP, LEFT, RIGHT, SPEED, World
 from hrljax.envs.mario.tick import tick
 
+try:
+    from benchmarks.rounds import Contestant, measure
+except ModuleNotFoundError:
+    from rounds import Contestant, measure
+
+CASE = "Mario, type 0, difficulty 3"
 NUM_LEVELS, FIRST_SEED, LONGEST = 50, 1247, 2000
 TICKS_A_STEP = 5
 
@@ -117,16 +121,6 @@ def play(course: Course, seed: Array, ticks: Array) -> tuple[Array, Array, Array
     return last.resets, last.world.coins, last.world.overflow
 
 
-@dataclass
-class Contestant:
-    """`run` does one round and returns the ticks done."""
-
-    name: str
-    cores: int
-    run: Callable[[], int]
-    compile_seconds: float = 0.0
-
-
 def native(course: Course, compiled: Any, seconds: float, cores: int, ticks: int) -> Contestant:
     """One game a core in a native loop, each in its own thread."""
 
@@ -138,7 +132,7 @@ def native(course: Course, compiled: Any, seconds: float, cores: int, ticks: int
             list(pool.map(one, range(cores)))
         return cores * ticks
 
-    return Contestant("hrljax native", cores, run, seconds)
+    return Contestant(CASE, "hrljax native", cores, run, seconds)
 
 
 def vmapped(course: Course, size: int, ticks: int, cores: int) -> Contestant:
@@ -153,33 +147,7 @@ def vmapped(course: Course, size: int, ticks: int, cores: int) -> Contestant:
         jax.block_until_ready(compiled(course, seeds, jnp.int32(ticks)))
         return size * ticks
 
-    return Contestant(f"hrljax vmap of {size}", cores, run, seconds)
-
-
-def measure(contestants: list[Contestant], rounds: int) -> list[dict[str, Any]]:
-    """Runs everybody in turns; the rows of the result."""
-    wall: dict[int, list[float]] = {i: [] for i in range(len(contestants))}
-    used: dict[int, list[float]] = {i: [] for i in range(len(contestants))}
-    for number in range(rounds):
-        for i, contestant in enumerate(contestants):
-            began, began_cpu = time.perf_counter(), time.process_time()
-            ticks = contestant.run()
-            wall[i].append(ticks / (time.perf_counter() - began))
-            used[i].append(ticks / (time.process_time() - began_cpu))
-        print(f"round {number + 1} of {rounds}", flush=True)
-    return [
-        {
-            "case": "Mario, type 0, difficulty 3",
-            "contestant": c.name,
-            "cores": c.cores,
-            "value": statistics.median(wall[i]),
-            "best": max(wall[i]),
-            "per_cpu_second": statistics.median(used[i]),
-            "unit": "ticks/s",
-            "compile_seconds": c.compile_seconds,
-        }
-        for i, c in enumerate(contestants)
-    ]
+    return Contestant(CASE, f"hrljax vmap of {size}", cores, run, seconds)
 
 
 def report(rows: list[dict[str, Any]]) -> str:
@@ -205,7 +173,7 @@ def main(options: Options) -> None:
     seconds = time.perf_counter() - began
     contestants = [native(course, compiled, seconds, cores, options.ticks) for cores in sorted({1, options.cores})]
     contestants += [vmapped(course, size, options.vmap_ticks, options.cores) for size in options.batches]
-    rows = measure(contestants, options.rounds)
+    rows = measure(contestants, options.rounds, "ticks/s")
     print(report(rows))
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib"))
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Moment, at_episode
-from hrljax.learners.task_graph import Kind, TaskGraph
-from hrljax.learners.task_stack import Control, Ended, StackLearner, choose
+from hrljax.learners.flags import choose
+from hrljax.learners.task_graph import TaskGraph
+from hrljax.learners.task_stack import Control, Ended, StackLearner, Values, readable
 from hrljax.numerics import put_row, take_row
 
 
@@ -43,19 +43,10 @@ class HAMQ(StackLearner):
     def _initial(self, is_root: bool) -> tuple[Any, ...]:
         return (self.initial_value,)
 
-    def _row(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> list[tuple[Array]]:
-        start = (task * graph.num_states + state) * graph.num_slots
-        row = take_row(parts, start, kind.num_slots)
-        values = [row[slot] for slot in range(kind.num_slots)]
-        for slot, child in enumerate(kind.tasks):
-            if child >= 0:
-                values[slot] = self._value(graph, parts, graph.kind(child), jnp.int32(child), state)
-        return [(value,) for value in values]
-
-    def _worth(self, values: tuple[Array]) -> Array:
+    def _worth(self, values: Values) -> Array:
         return values[0]
 
-    def _until_end(self, values: tuple[Array]) -> Array:
+    def _until_end(self, values: Values) -> Array:
         return values[0]
 
     def _learned(
@@ -72,10 +63,9 @@ class HAMQ(StackLearner):
         slot = graph.slot_of_action(0, task, control.action)
         for level in graph.all_levels[1:]:
             # The subtask that took the action is the last one on the stack.
-            here = lax.max(control.tasks[level], jnp.int32(0))
-            task, slot = choose(
-                ended[level].used, (here, graph.slot_of_action(level, here, control.action)), (task, slot)
-            )
+            here = readable(control.tasks[level], ended[level].used)
+            its_slot = graph.slot_of_action(level, here, control.action)
+            task, slot = choose(ended[level].used, (here, its_slot), (task, slot))
         target = td.td_target(step.reward, at_episode(self.discount, moment.episode), follows[0], moment.zero)
         at = (task * graph.num_states + step.state) * graph.num_slots + slot
         old = take_row(parts, at, 1)

@@ -14,8 +14,9 @@ from jax import Array, lax
 
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Moment, at_episode, hyperparameter
-from hrljax.learners.task_graph import Kind, TaskGraph
-from hrljax.learners.task_stack import Control, Ended, StackLearner, both
+from hrljax.learners.flags import both
+from hrljax.learners.task_graph import TaskGraph
+from hrljax.learners.task_stack import Control, Ended, StackLearner, Values, readable
 from hrljax.numerics import put_row, stage, take_row
 
 _PARTS = len(td.Parts._fields)
@@ -43,23 +44,13 @@ class _Decomposed(StackLearner):
         initial = self.initial_value
         return (0.0, 0.0, initial, 0.0) if self._has_exit_value and not is_root else (0.0, initial, 0.0, 0.0)
 
-    def _row(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> list[td.Parts]:
-        width = graph.num_slots * _PARTS
-        row = take_row(parts, (task * graph.num_states + state) * width, kind.num_slots * _PARTS)
-        values = [td.Parts(*(row[k * _PARTS + p] for p in range(_PARTS))) for k in range(kind.num_slots)]
-        for slot, child in enumerate(kind.tasks):
-            if child >= 0:
-                own = self._value(graph, parts, graph.kind(child), jnp.int32(child), state)
-                values[slot] = values[slot]._replace(reward=own)
-        return values
+    def _worth(self, values: Values) -> Array:
+        parts, real = td.Parts(*values), self._until_end(values)
+        return (real + parts.exit if self._has_exit_value else real) + parts.pseudo
 
-    def _worth(self, values: td.Parts) -> Array:
-        values = td.Parts(*values)
-        real = self._until_end(values)
-        return (real + values.exit if self._has_exit_value else real) + values.pseudo
-
-    def _until_end(self, values: td.Parts) -> Array:
-        return values.reward + values.completion
+    def _until_end(self, values: Values) -> Array:
+        parts = td.Parts(*values)
+        return parts.reward + parts.completion
 
     def _learned(
         self,
@@ -98,8 +89,7 @@ class _Decomposed(StackLearner):
         moment: Moment,
     ) -> tuple[Array, Array, Array]:
         """Where the values of the child on a level lie, their target, and whether that child ended."""
-        task = control.tasks[level]
-        task = task if ended.used is True else lax.max(task, jnp.int32(0))
+        task = readable(control.tasks[level], ended.used)
         if level == graph.num_levels - 1:
             state, slot = step.state, graph.slot_of_action(level, task, control.action)
             discount, reward = at_episode(self.discount, moment.episode), step.reward

@@ -20,11 +20,12 @@ from hrljax.evaluate import HierarchicalPolicy
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
+from hrljax.learners.flags import Flag, both, choose, either, opposite
 from hrljax.learners.roots import ChildValue, Decision, Root
 from hrljax.learners.task_graph import Kind, TaskGraph, task_graph
+from hrljax.numerics import take_row
 from hrljax.random import threshold
 
-Flag = Array | bool
 Values = Any
 """The values of one child: a tuple of float32 scalars."""
 
@@ -77,23 +78,9 @@ class Ended:
     exited: Flag  # it ended itself
 
 
-def both(a: Flag, b: Flag) -> Flag:
-    if isinstance(a, bool):
-        return b if a else False
-    return a & b if not isinstance(b, bool) else both(b, a)
-
-
-def either(a: Flag, b: Flag) -> Flag:
-    if isinstance(a, bool):
-        return True if a else b
-    return a | b if not isinstance(b, bool) else either(b, a)
-
-
-def choose(condition: Flag, these: Any, those: Any) -> Any:
-    """`these` where a flag holds, else `those`; trees of scalars."""
-    if isinstance(condition, bool):
-        return these if condition else those
-    return jax.tree.map(lambda a, b: lax.select(condition, a, b), these, those)
+def readable(task: Array, used: Flag) -> Array:
+    """The number of the subtask on a level; 0 where none runs there, to read something."""
+    return task if used is True else lax.max(task, jnp.int32(0))
 
 
 @dataclass(frozen=True)
@@ -141,10 +128,6 @@ class StackLearner(Learner):
     # What a subclass says.
 
     @abstractmethod
-    def _row(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> list[Values]:
-        """The values of a subtask's children in a state, slot by slot."""
-
-    @abstractmethod
     def _worth(self, values: Values) -> Array:
         """What behaviour and bootstraps are greedy in (float32 scalar)."""
 
@@ -154,7 +137,7 @@ class StackLearner(Learner):
 
     @abstractmethod
     def _initial(self, is_root: bool) -> tuple[Any, ...]:
-        """Initial values of a child, of the root or of another subtask."""
+        """Initial values of a child, of the root or of another subtask; the first is of what it earns itself."""
 
     @abstractmethod
     def _learned(
@@ -287,8 +270,7 @@ class StackLearner(Learner):
             if self.root is None and level == 0:
                 exits.append(False)  # its end is the episode's
                 continue
-            index = task if graph.is_always_used(level) else lax.max(task, jnp.int32(0))
-            over: Flag = ~graph.active(index, step.next_state)
+            over: Flag = ~graph.active(readable(task, used[-1]), step.next_state)
             over = either(over, exits[-1]) if level else over
             exits.append(both(used[-1], over))
         children: list[Flag] = []
@@ -297,7 +279,7 @@ class StackLearner(Learner):
                 children.append(True)
                 continue
             below = level + 1
-            alone = both(used[level], True if used[below] is False else _opposite(used[below]))
+            alone = both(used[level], True if used[below] is False else opposite(used[below]))
             children.append(either(either(exits[below], alone), step.terminated))
         return [Ended(*flags) for flags in zip(used, children, exits, strict=True)]
 
@@ -306,7 +288,7 @@ class StackLearner(Learner):
     ) -> Values:
         """Values of the greedy child of the first learning subtask that takes control after a step."""
         for running, end in zip(control.tasks[1:], ended[1:], strict=True):
-            task = choose(both(end.used, _opposite(end.exited)), running, task)
+            task = choose(both(end.used, opposite(end.exited)), running, task)
 
         def of_kind(kind: Kind) -> Values:
             best, row, _ = self._best(graph, parts, kind, task, state)
@@ -344,7 +326,7 @@ class StackLearner(Learner):
             decides = both(used, True if is_last else either(fresh, ended[level].child))
             below = jnp.int32(-1) if is_last else control.tasks[level + 1]
             kept = control.pending[level].slot if not is_last else jnp.int32(0)
-            asked = lax.max(task, jnp.int32(0)) if used is not True else task
+            asked = readable(task, used)
 
             def decide(level: int = level, asked: Array = asked) -> Choice:
                 word = words[level + graph.offset]
@@ -367,6 +349,21 @@ class StackLearner(Learner):
                 task = choose(used, choose(decides, choice.task, below), jnp.int32(-1))
                 fresh = decides
         return Control(action, tuple(tasks), tuple(pendings), ()), follows
+
+    def _row(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> list[Values]:
+        """The values of a subtask's children in a state, slot by slot.
+
+        What a child that is a subtask earns is not stored, but read from its own values (thesis eq. 3.3).
+        """
+        size = len(self._initial(is_root=False))
+        start = (task * graph.num_states + state) * (graph.num_slots * size)
+        row = take_row(parts, start, kind.num_slots * size)
+        values = [tuple(row[slot * size + i] for i in range(size)) for slot in range(kind.num_slots)]
+        for slot, child in enumerate(kind.tasks):
+            if child >= 0:
+                own = self._value(graph, parts, graph.kind(child), jnp.int32(child), state)
+                values[slot] = (own, *values[slot][1:])
+        return values
 
     def _best(
         self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array
@@ -465,7 +462,3 @@ class StackLearner(Learner):
             return graph.by_kind([0], task, lambda kind: self._value(graph, parts, kind, task, state))
 
         return value
-
-
-def _opposite(flag: Flag) -> Flag:
-    return not flag if isinstance(flag, bool) else ~flag
