@@ -13,6 +13,7 @@ from jax import Array
 
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners.base import Learner, Tabulated, tabulated
+from hrljax.learners.option_set import Options
 from hrljax.learners.task_tables import over_states, tabulate
 from hrljax.work import ENV_PREFIX
 
@@ -51,7 +52,7 @@ def as_attribute(value: Any) -> str | int | float:
 
 
 def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
-    """By name, digests of the hierarchies and schedules of a learner: of what they do, not of their code.
+    """By name, digests of the hierarchies, options and schedules of a learner: of what they do, not of their code.
 
     Raises:
         ValueError: as `hrljax.learners.base.tabulated` and `hrljax.learners.task_tables.tabulate`.
@@ -60,6 +61,8 @@ def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
     for name, value in tabulated(learner, num_episodes).settings().items():
         if isinstance(value, Hierarchy):
             found[f"digest.learner.{name}"] = hierarchy_digest(env, value)
+        elif isinstance(value, Options):
+            found[f"digest.learner.{name}"] = options_digest(value)
         elif isinstance(value, Tabulated):
             found[f"digest.learner.{name}"] = _digest([value.values])
     return found
@@ -73,6 +76,12 @@ def hierarchy_digest(env: Any, hierarchy: Hierarchy) -> str:
         if task.abstraction is not None:
             parts += [over_states(part, env) for part in task.abstraction]
     return _digest([np.frombuffer(repr(hierarchy).encode(), np.uint8), *parts])
+
+
+def options_digest(options: Options) -> str:
+    """A digest of everything that options are made of."""
+    names = np.frombuffer(json.dumps([options.actions, options.names, options.primitives]).encode(), np.uint8)
+    return _digest([names, options.policy, options.termination, options.initiation])
 
 
 def _digest(arrays: list[np.ndarray]) -> str:

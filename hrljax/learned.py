@@ -18,8 +18,9 @@ from hrljax.envs.base import TabularEnvironment
 from hrljax.envs.registry import make, registered
 from hrljax.files import write_atomically
 from hrljax.hierarchy import Hierarchy
-from hrljax.identity import as_attribute, differences, hierarchy_digest, options
+from hrljax.identity import as_attribute, differences, hierarchy_digest, options, options_digest
 from hrljax.learners.base import Learner, Settings
+from hrljax.learners.option_set import Options
 from hrljax.policy import Policy, from_hierarchical
 from hrljax.work import ENV_PREFIX, LEARNED, learned_shapes, named_leaves
 
@@ -127,8 +128,8 @@ class Learned:
         Args:
             path: the file.
             env: the environment; has to be given unless it is registered.
-            learner: the learner; has to be given if it has a schedule or a hierarchy other than
-                the environment's own.
+            learner: the learner; has to be given if it has a schedule, options, or a hierarchy other
+                than the environment's own.
 
         Raises:
             FileNotFoundError: there is no file.
@@ -174,6 +175,8 @@ def _settings(env: Any, learner: Learner) -> dict[str, Any]:
     for name, value in learner.settings().items():
         if isinstance(value, Hierarchy):
             settings[name] = {"hierarchy": hierarchy_digest(env, value)}
+        elif isinstance(value, Options):
+            settings[name] = {"options": options_digest(value)}
         elif callable(value):
             settings[name] = {"schedule": as_attribute(value)}
         else:
@@ -212,8 +215,9 @@ def _learner(env: Any, header: dict[str, Any], where: str) -> Learner:
     """The learner that a header describes."""
     settings: dict[str, Any] = {}
     for name, value in header["settings"].items():
-        if isinstance(value, dict) and "schedule" in value:
-            raise ValueError(f"{where} with {name} as a schedule, which files do not hold; give the learner")
+        for kind, described in (("schedule", f"{name} as a schedule"), ("options", "options")):
+            if isinstance(value, dict) and kind in value:
+                raise ValueError(f"{where} with {described}, which files do not hold; give the learner")
         if isinstance(value, dict):
             if value != {"hierarchy": hierarchy_digest(env, env.hierarchy())}:
                 raise ValueError(f"{where} with another hierarchy than {env.name}'s own; give the learner")

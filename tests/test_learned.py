@@ -1,5 +1,6 @@
 """What was learned comes back from disk bit for bit, and its policy does what the learner would do."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,11 @@ LEARNERS: dict[str, tuple[Any, Any]] = {
     "HAMQ deep": (TAXI, hrljax.HAMQ(TAXI.hierarchy())),
     "MAXQ-0 deep": (TAXI, hrljax.MAXQ0(TAXI.hierarchy())),
 }
+
+
+def with_options() -> Any:
+    """Files do not hold its options."""
+    return hrljax.OptionQ(hrljax.options_from(MAZE.hierarchy(), MAZE))
 
 
 def some_tables(env: Any, learner: Any) -> Any:
@@ -149,6 +155,13 @@ def test_what_is_saved_comes_back(tmp_path: Path, name: str):
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["x.npz"]
 
 
+def turned(options: hrljax.Options) -> hrljax.Options:
+    """The same but for one action in one state."""
+    policy = options.policy.copy()
+    policy[0, 0] = (policy[0, 0] + 1) % len(options.actions)
+    return dataclasses.replace(options, policy=policy)
+
+
 def saved(path: Path, learner: Any = None, env: Any = MAZE) -> Path:
     learner = learner or hrljax.QLearning()
     Learned(env, learner, some_tables(env, learner)).save(path)
@@ -194,6 +207,14 @@ def test_what_a_file_cannot_hold_has_to_be_given(tmp_path: Path):
     with pytest.raises(ValueError, match="with epsilon as a schedule, which files do not hold; give the learner"):
         Learned.load(path)
     assert Learned.load(path, learner=schedule).learner is schedule
+    learner = with_options()
+    path = saved(tmp_path / "options.npz", learner)
+    with pytest.raises(ValueError, match="with options, which files do not hold; give the learner"):
+        Learned.load(path)
+    assert Learned.load(path, learner=with_options()).learner == learner
+    other = dataclasses.replace(learner, options=turned(learner.options))
+    with pytest.raises(ValueError, match=r"other settings: learner\.options is .* there and .* here"):
+        Learned.load(path, learner=other)
     standard = MAZE.hierarchy()
     one = hrljax.MAXQ(hrljax.Hierarchy(standard.actions, standard.subtasks[:1] + standard.subtasks[:0:-1]))
     path = saved(tmp_path / "hierarchy.npz", one)

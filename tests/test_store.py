@@ -6,6 +6,7 @@ import os
 import random
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -205,6 +206,22 @@ def test_schedules_and_hierarchies_are_told_apart_by_what_they_do(tmp_path: Path
     assert one != other
     again = hrljax.Hierarchy(standard.actions, standard.subtasks)
     assert identity.digests(env, hrljax.MAXQ(again), 2) == one
+
+
+def test_options_are_told_apart_by_what_they_do(tmp_path: Path):
+    """Their text has their names only."""
+    env = hrljax.make("Maze")
+    options = hrljax.options_from(env.hierarchy(), env)
+    run = partial(hrljax.sweep, env, seeds=1, num_episodes=2, mapping="vmap", progress=False, store=tmp_path / "x.zarr")
+    run(hrljax.OptionQ(options))
+    run(hrljax.OptionQ(hrljax.options_from(env.hierarchy(), env)))
+    for field in ("policy", "termination", "initiation"):
+        array = getattr(options, field).copy()
+        array[0, 1] = 1 - array[0, 1]
+        other = dataclasses.replace(options, **{field: array})
+        assert repr(other) == repr(options)
+        with pytest.raises(ValueError, match=r"another sweep: digest.learner.options is .* there and .* here$"):
+            run(hrljax.OptionQ(other))
 
 
 def test_something_else_is_left_alone(tmp_path: Path):

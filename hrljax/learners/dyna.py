@@ -59,7 +59,7 @@ class DynaQ(StepSizeLearner):
         return 3 if self.planning_steps else 1
 
     def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
-        values = self._initial_values(env)
+        values = self.initial_values(env)
         samples = model.empty(env.num_states, prepared, self.outcomes_kept)
         visited = jnp.zeros(len(values), jnp.int32)
         return LearnerState(DynaTables(values, samples, visited, jnp.int32(0)), jnp.int32(0))
@@ -73,7 +73,7 @@ class DynaQ(StepSizeLearner):
         tables = tables._replace(values=values)
         if self.planning_steps:
             tables = self._replayed(self._remembered(tables, pair, step, prepared, moment), words[1:], prepared, moment)
-        action = self._choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
+        action = self.choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
         return LearnerState(tables, action)
 
     def _backed_up(
@@ -81,7 +81,7 @@ class DynaQ(StepSizeLearner):
     ) -> Array:
         """One update of Q-learning."""
         bootstrap = td.greedy(row_of(values, after, prepared))[1]
-        return self._moved(values, pair, self._target(reward, bootstrap, terminated, moment), moment)
+        return self.moved(values, pair, self.target(reward, bootstrap, terminated, moment), moment)
 
     def _remembered(
         self, tables: DynaTables, pair: Array, step: Experience, prepared: int, moment: Moment

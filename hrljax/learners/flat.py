@@ -30,7 +30,7 @@ class ActionValueLearner(Learner):
         return env.num_actions
 
     def begin(self, prepared: int, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
-        return self._choose(row_of(self.action_values(tables), first, prepared), words[0], moment)
+        return self.choose(row_of(self.action_values(tables), first, prepared), words[0], moment)
 
     def action(self, control: Any) -> Array:
         return control
@@ -41,10 +41,12 @@ class ActionValueLearner(Learner):
         actions = jnp.argmax(self.action_values(tables).reshape(-1, prepared), axis=-1).astype(jnp.int32)
         return flat_policy(env, actions)
 
-    def _choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
+    def choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
+        """The epsilon-greedy action (int32) for the action values of one state; uses one word."""
         return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
 
-    def _target(self, reward: Array, bootstrap: Array, terminated: Array, moment: Moment) -> Array:
+    def target(self, reward: Array, bootstrap: Array, terminated: Array, moment: Moment) -> Array:
+        """What a value is moved to: ``reward + discount * bootstrap``, no bootstrap where the episode terminated."""
         bootstrap = lax.select(terminated, jnp.float32(0), bootstrap)
         return td.td_target(reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
 
@@ -58,10 +60,11 @@ class StepSizeLearner(ActionValueLearner):
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
 
-    def _initial_values(self, env: TabularEnvironment[Any, Any]) -> Array:
+    def initial_values(self, env: TabularEnvironment[Any, Any]) -> Array:
+        """``[S * A]`` float32: a table of action values before the first episode."""
         return jnp.full(env.num_states * env.num_actions, jnp.asarray(self.initial_value, jnp.float32))
 
-    def _moved(self, values: Array, pair: Array, target: Array, moment: Moment) -> Array:
+    def moved(self, values: Array, pair: Array, target: Array, moment: Moment) -> Array:
         """The values after that of one (state, action) pair has moved towards a target."""
         old, step_size = take_row(values, pair, 1), at_episode(self.step_size, moment.episode)
         return put_row(values, pair, td.increment(old, target[None], step_size, moment.live, moment.zero))
@@ -80,21 +83,21 @@ class _OneStep(StepSizeLearner):
         return tables
 
     def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
-        return LearnerState(self._initial_values(env), jnp.int32(0))
+        return LearnerState(self.initial_values(env), jnp.int32(0))
 
     def learn(
         self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
     ) -> LearnerState:
         row = row_of(state.tables, step.next_state, prepared)
         if self._on_policy:
-            action = self._choose(row, words[0], moment)
+            action = self.choose(row, words[0], moment)
             bootstrap = td.pick(row, action)
         else:
             action, bootstrap = td.greedy(row)
-        target = self._target(step.reward, bootstrap, step.terminated, moment)
-        tables = self._moved(state.tables, step.state * prepared + step.action, target, moment)
+        target = self.target(step.reward, bootstrap, step.terminated, moment)
+        tables = self.moved(state.tables, step.state * prepared + step.action, target, moment)
         if not self._on_policy:
-            action = self._choose(row_of(tables, step.next_state, prepared), words[0], moment)
+            action = self.choose(row_of(tables, step.next_state, prepared), words[0], moment)
         return LearnerState(tables, action)
 
 

@@ -81,7 +81,7 @@ class RMax(ActionValueLearner):
             lambda tables: self._planned(observed(tables, jnp.bool_(True)), prepared, moment.zero),
             observed(tables, moment.live & (missing > 1)),
         )
-        action = self._choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
+        action = self.choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
         return LearnerState(tables, action)
 
     def _planned(self, tables: RMaxTables, prepared: int, zero: Array) -> RMaxTables:

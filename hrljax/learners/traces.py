@@ -67,7 +67,7 @@ class _Traced(StepSizeLearner):
 
     def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
         visited = jnp.full(self._ring, _NO_PAIR, jnp.int32)
-        return LearnerState(TraceTables(self._initial_values(env), visited), TraceControl(jnp.int32(0), jnp.int32(0)))
+        return LearnerState(TraceTables(self.initial_values(env), visited), TraceControl(jnp.int32(0), jnp.int32(0)))
 
     def begin(
         self, prepared: int, tables: TraceTables, first: Array, words: tuple[Array, ...], moment: Moment
@@ -83,18 +83,18 @@ class _Traced(StepSizeLearner):
         tables, control = state
         row = row_of(tables.values, step.next_state, prepared)
         if self._on_policy:
-            action = self._choose(row, words[0], moment)
+            action = self.choose(row, words[0], moment)
             bootstrap = td.pick(row, action)
         else:
             action, bootstrap = td.greedy(row)
-        target = self._target(step.reward, bootstrap, step.terminated, moment)
+        target = self.target(step.reward, bootstrap, step.terminated, moment)
         pair = step.state * prepared + step.action
         error = target - take(tables.values, pair)
         change = exact_product(at_episode(self.step_size, moment.episode), error, moment.zero)
         tables, visits = self._all_moved(tables, pair, control.visits, change, moment), control.visits + 1
         if not self._on_policy:
             row = row_of(tables.values, step.next_state, prepared)
-            action = self._choose(row, words[0], moment)
+            action = self.choose(row, words[0], moment)
             explores = td.pick(row, action) < td.greedy(row)[1]
             visits = lax.select(explores, jnp.int32(0), visits)
         return LearnerState(tables, TraceControl(action, visits))
