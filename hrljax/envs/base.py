@@ -216,7 +216,7 @@ class TabularEnvironment(Environment[State, Params]):
             after, reward, terminated, _ = self.transition(self.decode(state), action, words, numbers)
             return self.encode(after), reward, terminated
 
-        over_words = jax.vmap(outcome, (None, None, 0))
+        over_words = jax.vmap(outcome, (None, None, 0), axis_size=len(weights))
         over_actions = jax.vmap(over_words, (None, 0, None))
         over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
         with jax.ensure_compile_time_eval():
@@ -230,7 +230,8 @@ class TabularEnvironment(Environment[State, Params]):
         numbers = self._numbers(params)
         representatives, weights = _word_kinds(self.initial_word_cuts(numbers))
         with jax.ensure_compile_time_eval():
-            states = jax.vmap(lambda words: self.encode(self.initial(words, numbers)))(representatives)
+            firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=len(weights))
+            states = firsts(representatives)
         return np.bincount(np.asarray(states), weights=weights, minlength=self.num_states)
 
 

@@ -1,0 +1,87 @@
+"""Every example of the documentation runs, block after block, with fewer seeds and episodes than it says."""
+
+import re
+import shutil
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import gymnasium
+import pytest
+from matplotlib.image import imread
+
+import hrljax
+from hrljax.envs import registry
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.M)
+SEEDS, EPISODES = 4, 40
+each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+
+
+def blocks(document: Path, language: str) -> list[str]:
+    """Code of the fenced blocks in a language, below as many empty lines as there are lines above it."""
+    text = document.read_text()
+    found = (match for match in FENCE.finditer(text) if match[1] == language)
+    return ["\n" * text.count("\n", 0, match.start(2)) + match[2] for match in found]
+
+
+def small(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same with few seeds and episodes."""
+
+    @wraps(function)
+    def call(*arguments: Any, seeds: int, num_episodes: int, **options: Any) -> Any:
+        return function(*arguments, seeds=min(seeds, SEEDS), num_episodes=min(num_episodes, EPISODES), **options)
+
+    return call
+
+
+@pytest.mark.filterwarnings("ignore:Port 8787 is already in use")  # of Dask's pages
+@each_document
+def test_examples_run(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    code = blocks(document, "python")
+    if any("dask" in block for block in code):
+        pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
+    monkeypatch.chdir(tmp_path)
+    for name in ("sweep", "plan"):
+        monkeypatch.setattr(hrljax, name, small(getattr(hrljax, name)))
+    namespace: dict[str, Any] = {"__name__": "__main__"}
+    with patch.dict(registry._ENVIRONMENTS), patch.dict(gymnasium.registry):
+        for block in code:
+            shutil.rmtree("runs", ignore_errors=True)  # so that nobody finds the work done
+            exec(compile(block, document, "exec"), namespace)
+    for picture in tmp_path.glob("*.png"):
+        assert imread(picture).std() > 0.05
+
+
+@each_document
+def test_every_block_says_what_it_is(document: Path):
+    """So that no example escapes the test above."""
+    for match in FENCE.finditer(document.read_text()):
+        assert match[1] in ("python", "sh", "text"), match[0]
+
+
+@each_document
+def test_files_that_are_named_exist(document: Path):
+    text = document.read_text()
+    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text) if "://" not in link]
+    for link in links:
+        assert (document.parent / link).exists(), link
+    for program in re.findall(r"\b(?:scripts|benchmarks)/\w+\.py", text):
+        assert (ROOT / program).exists(), program
+
+
+def test_an_own_environment_takes_no_more_than_40_lines():
+    first, *_ = blocks(ROOT / "docs" / "own_environment.md", "python")
+    assert len([line for line in first.splitlines() if line.strip()]) <= 40
+
+
+def test_a_block_is_found_with_its_place(tmp_path: Path):
+    """The extraction itself."""
+    document = tmp_path / "x.md"
+    document.write_text("text\n```python\nx = 1\n```\n```sh\npython x\n```\n```python\nraise ValueError(x)\n```\n")
+    first, second = blocks(document, "python")
+    assert (first, second) == ("\n\nx = 1\n", "\n" * 8 + "raise ValueError(x)\n")
