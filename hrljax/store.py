@@ -198,6 +198,8 @@ class Store:
     def _settings(self) -> bytes:
         """The description of the store as a whole."""
         description = json.loads(self._memory[_DESCRIPTION].to_bytes())
+        members = description["consolidated_metadata"]["metadata"]  # some Zarrs list them as they happen to come
+        description["consolidated_metadata"]["metadata"] = dict(sorted(members.items()))
         return json.dumps({**description, "attributes": self.attributes}, indent=2).encode()
 
     def _encoded(self, name: str, chunk: range, values: np.ndarray) -> bytes:

@@ -45,9 +45,10 @@ def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) 
         ``mean``, ``low``, ``high`` without `dim`; with fewer than two values the interval is NaN.
     """
     count = values.notnull().sum(dim)
-    error = values.std(dim, ddof=1).where(count > 1) / np.sqrt(count.clip(1))
-    reach = xr.apply_ufunc(special.stdtrit, (count - 1).clip(1), 0.5 + level / 2) * error
     mean = values.mean(dim)
+    freedom = (count - 1).clip(1)
+    error = np.sqrt(((values - mean) ** 2).sum(dim) / freedom / count.clip(1)).where(count > 1)
+    reach = xr.apply_ufunc(special.stdtrit, freedom, 0.5 + level / 2) * error
     return xr.Dataset({"mean": mean, "low": mean - reach, "high": mean + reach})
 
 

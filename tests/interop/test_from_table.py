@@ -22,7 +22,9 @@ TABLES = {
     "taxi": ("Taxi-v4", {}),
     "rainy taxi": ("Taxi-v4", {"is_rainy": True}),
 }
+TABLES = {name: table for name, table in TABLES.items() if table[0] in gymnasium.registry}
 each_table = pytest.mark.parametrize("name", TABLES)
+with_cliff = pytest.mark.skipif("cliff" not in TABLES, reason="this Gymnasium is too old for CliffWalking-v1")
 
 
 def source(name: str):
@@ -65,7 +67,7 @@ def test_the_model_has_every_outcome_of_the_table_and_no_other(name: str):
             assert likely == pytest.approx({o: p for o, p in expected.items() if p > 0})
 
 
-@pytest.mark.parametrize("name", ["lake", "slippery cliff", "rainy taxi"])
+@pytest.mark.parametrize("name", [name for name in ("lake", "slippery cliff", "rainy taxi") if name in TABLES])
 def test_what_is_simulated_is_the_table_to_the_last_bit_of_a_word(name: str):
     """The model that follows from `transition` on every kind of word."""
     env = from_table(source(name))
@@ -95,6 +97,7 @@ def test_q_learning_learns_the_frozen_lake():
     assert float(run.metrics["return"][0]) < 0.1
 
 
+@with_cliff
 def test_a_table_under_gymnasium_again_is_the_table():
     env = SingleEnv(from_table("CliffWalking-v1"))
     original = gymnasium.make("CliffWalking-v1")
@@ -116,6 +119,7 @@ def test_equal_tables_are_equal_environments():
     assert "16 states, 4 actions" in str(lake.table)
 
 
+@with_cliff
 def test_the_limit_of_steps_and_the_beginning_may_be_given():
     initial = np.zeros(48)
     initial[[3, 40]] = 0.25, 0.75

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import gymnasium
 import jax
@@ -24,18 +23,12 @@ from tests.maps import SMALL
 TABULAR = ("Bus", "Gridworld", "Maze", "Taxi")
 
 
-@pytest.fixture
-def quick_compiler() -> Iterator[None]:
-    """Mario's step takes long to compile and is not run for long here."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def checked(env_id: str) -> None:
     """Gymnasium's checks, every warning being an error."""
-    env = gymnasium.make(env_id, disable_env_checker=True)
-    check_env(env.unwrapped)
+    check_env(gymnasium.make(env_id, disable_env_checker=True).unwrapped)
+    env = gymnasium.make(env_id)  # with the wrapper that checks the first calls
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
 
 
 def test_importing_the_library_registers_every_environment_and_loads_no_adapter():

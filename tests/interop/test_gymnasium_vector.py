@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
+import hrljax as hrl
 from hrljax.interop import episodes
 from hrljax.interop.gymnasium import BatchedEnv, SingleEnv
 from tests.interop.walker import Walker
@@ -60,6 +61,32 @@ def assert_walks_agree(mode: AutoresetMode, envs: tuple[Any, ...], num_actions: 
 def test_steps_infos_and_ends_are_those_of_single_environments(mode: AutoresetMode):
     ends = assert_walks_agree(mode, pair(mode, "hrljax/Bus-v0", map=SMALL.map, params=WRECKING), 4)
     assert ends.min() >= 3
+
+
+QUICK: dict[str, dict[str, Any]] = {
+    "Bus": {"params": {"max_steps": 9, "breakdown_probability": 1.0, "road_change_probability": 0.5}},
+    "Gridworld": {"map": "cliff", "params": {"max_steps": 9, "slip_probability": 0.5}},
+    "Maze": {"params": {"max_steps": 9, "slip_probability": 0.5}},
+    "Taxi": {"stochastic": True, "fickle": True, "params": {"max_steps": 9}},
+    "Mario": {"params": {"max_steps": 5}},
+}
+"""Options and numbers with which episodes are short and full of chance."""
+
+
+@pytest.mark.parametrize("name", [name for name in hrl.registered() if name != "Mario"])
+@each_mode
+def test_every_environment_is_batched_as_it_is_alone(mode: AutoresetMode, name: str):
+    env_id = f"hrljax/{name}-v0"
+    num_actions = gymnasium.make(env_id).action_space.n
+    ends = assert_walks_agree(mode, pair(mode, env_id, **QUICK[name]), num_actions, 25)
+    assert ends[1] >= 3
+
+
+@each_mode
+def test_mario_is_batched_as_he_is_alone(mode: AutoresetMode, quick_compiler: None):
+    actions = hrl.make("Mario").num_actions
+    ends = assert_walks_agree(mode, pair(mode, "hrljax/Mario-v0", **QUICK["Mario"]), actions, 12)
+    assert ends[1] >= 3
 
 
 @each_mode

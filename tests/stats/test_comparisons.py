@@ -98,7 +98,7 @@ def test_pairs_are_made_by_seed():
 
 def test_paired_intervals_are_those_of_scipy_for_related_samples():
     values = curve(9)["return"]
-    other = values + 1 + 0.1 * np.random.default_rng(0).normal(size=values.shape)
+    other = values.copy(data=values + 1 + 0.1 * np.random.default_rng(0).normal(size=values.shape))
     differences = paired_differences(other, values)
     assert differences.attrs == values.attrs
     expected = scipy_stats.ttest_rel(other, values, axis=0).confidence_interval(0.95)
