@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import hrljax as hrl
 from hrljax import random
+from hrljax.envs.maze import Maze
 from hrljax.random import WORD_RANGE
 from hrljax.solvers import Model
 from tests.maps import SMALL
@@ -97,6 +98,35 @@ def test_a_model_is_a_distribution_over_states(variant: str):
     assert model.probability.min() >= 0
     np.testing.assert_allclose(model.probability.sum(-1), 1, atol=1e-12)
     np.testing.assert_allclose(env.initial_distribution(params).sum(), 1, atol=1e-12)
+
+
+class Certain(Maze):
+    """A maze without chance: it uses no words at all."""
+
+    num_words = num_initial_words = 0
+
+    def initial(self, words: tuple[jax.Array, ...], params: Any) -> Any:
+        assert words == ()
+        return super().initial((jnp.uint32(0),), params)
+
+    def transition(self, state: Any, action: jax.Array, words: tuple[jax.Array, ...], params: Any) -> Any:
+        assert words == ()
+        return super().transition(state, action, (jnp.uint32(WORD_RANGE - 1),), params)
+
+    def initial_word_cuts(self, params: Any) -> tuple[()]:
+        return ()
+
+    word_cuts = initial_word_cuts
+
+
+def test_an_environment_may_use_no_words():
+    for ours, mazes in zip(Certain().model(), hrl.make("Maze").model(), strict=True):
+        np.testing.assert_array_equal(ours, mazes)
+    assert np.flatnonzero(Certain().initial_distribution()).tolist() == [0]
+    assert Certain().initial_distribution().sum() == 1
+    options = {"seeds": 2, "num_episodes": 3, "progress": False}
+    returns = [hrl.sweep(Certain(), hrl.SARSA(), mapping=m, **options)["return"].values for m in ("native", "vmap")]
+    np.testing.assert_array_equal(*returns)
 
 
 @each_variant
