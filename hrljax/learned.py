@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import zipfile
@@ -14,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import Environment
 from hrljax.envs.registry import make, registered
 from hrljax.files import write_atomically
 from hrljax.hierarchy import Hierarchy
 from hrljax.identity import as_attribute, differences, hierarchy_digest, options, options_digest
-from hrljax.learners.base import Learner, Settings
+from hrljax.learners.base import Learner, Moment, Settings
 from hrljax.learners.option_set import Options
 from hrljax.policy import Policy, from_hierarchical
 from hrljax.work import ENV_PREFIX, LEARNED, learned_shapes, named_leaves
@@ -40,7 +41,7 @@ class Learned:
         tables: its tables, a tree of NumPy arrays; `hrljax.Run.learned`.
     """
 
-    def __init__(self, env: TabularEnvironment[Any, Any], learner: Learner, tables: Any):
+    def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any):
         """
         Raises:
             ValueError: `tables` are not those of one run of `learner` on `env`.
@@ -88,14 +89,19 @@ class Learned:
             raise ValueError("the dataset has no tables; sweep with keep_learned=True")
         return cls(env, learner, _tree(env, learner, found))
 
-    def policy(self, seed: int = 0) -> Policy:
-        """The greedy policy, in plain NumPy.
+    def policy(self, seed: int = 0) -> Policy | StatePolicy:
+        """The greedy policy: in plain NumPy, over the numbers of states; or, of a learner that sees states, over these.
 
         Args:
             seed: of the choices of a root that chooses at random; other policies are deterministic.
+
+        Raises:
+            ValueError: a learner that sees states has a schedule; replace it by the number that is meant.
         """
-        prepared = self.learner.prepare(self.env)
         tables = jax.tree.map(jnp.asarray, self.tables)
+        if not self.learner.is_tabular:
+            return StatePolicy(self.env, self.learner, tables)
+        prepared = self.learner.prepare(self.env)
         policy = self.learner.greedy_policy(self.env, prepared, tables, jnp.uint32(0))
         return from_hierarchical(policy, np.random.default_rng(seed))
 
@@ -121,7 +127,7 @@ class Learned:
 
     @classmethod
     def load(
-        cls, path: str | Path, env: TabularEnvironment[Any, Any] | None = None, learner: Learner | None = None
+        cls, path: str | Path, env: Environment[Any, Any] | None = None, learner: Learner | None = None
     ) -> Learned:
         """Reads a file that `save` wrote.
 
@@ -142,7 +148,7 @@ class Learned:
             name = header["environment"]
             if name not in registered():
                 raise ValueError(f"{where} on {name!r}, which is not registered; give it as env")
-            env = make(name, **header["options"])
+            env = make(name, **{option: _option(value) for option, value in header["options"].items()})
         assert env is not None
         learner = learner or _learner(env, header, where)
         here = json.loads(json.dumps(_settings(env, learner)))
@@ -152,6 +158,37 @@ class Learned:
         if sorted(tables) != header["tables"]:
             raise ValueError(f"{path} is damaged: it has the tables {sorted(tables)} instead of {header['tables']}")
         return cls(env, learner, _tree(env, learner, tables))
+
+
+class StatePolicy:
+    """What a learner that sees states does without exploration: called with a state, it gives the number of an action.
+
+    It decides in every state anew: a root that follows a sequence of actions searches in every step.
+    """
+
+    def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any):
+        """
+        Raises:
+            ValueError: the learner has a schedule.
+        """
+        greedy = learner.replaced({"epsilon": 0.0})
+        for name, value in greedy.settings().items():
+            if callable(value):
+                raise ValueError(f"the policy of {learner.name} needs a number for {name}, which is a schedule")
+        prepared, nothing = greedy.prepare(env), (jnp.uint32(0),) * greedy.num_begin_words
+        moment = Moment(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
+
+        def choose(tables: Any, state: Any) -> Any:
+            return greedy.action(greedy.begin(prepared, tables, state, nothing, moment))
+
+        self._tables, self._choose = tables, jax.jit(choose)
+
+    def reset(self) -> None:
+        """Begins an episode; there is nothing to forget."""
+
+    def __call__(self, state: Any) -> int:
+        """The action (its number) in a state of the environment."""
+        return int(self._choose(self._tables, state))
 
 
 def _described(tables: Any) -> str:
@@ -179,16 +216,27 @@ def _settings(env: Any, learner: Learner) -> dict[str, Any]:
             settings[name] = {"options": options_digest(value)}
         elif callable(value):
             settings[name] = {"schedule": as_attribute(value)}
+        elif dataclasses.is_dataclass(value):
+            settings[name] = {"fields": dataclasses.asdict(value)}  # type: ignore[arg-type]
         else:
             settings[name] = value if value is None or isinstance(value, bool) else as_attribute(value)
     return {
         "environment": env.name,
-        "options": {
-            name: value if isinstance(value, int | float) else str(value) for name, value in options(env).items()
-        },
+        "options": {name: _plain(value) for name, value in options(env).items()},
         "learner": type(learner).__name__,
         "settings": settings,
     }
+
+
+def _plain(value: Any) -> Any:
+    """An environment's option as JSON has it; `_option` is the way back."""
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    return value if value is None or isinstance(value, int | float) else str(value)
+
+
+def _option(value: Any) -> Any:
+    return tuple(_option(entry) for entry in value) if isinstance(value, list) else value
 
 
 def _flat(header: dict[str, Any]) -> dict[str, Any]:
@@ -218,7 +266,7 @@ def _learner(env: Any, header: dict[str, Any], where: str) -> Learner:
         for kind, described in (("schedule", f"{name} as a schedule"), ("options", "options")):
             if isinstance(value, dict) and kind in value:
                 raise ValueError(f"{where} with {described}, which files do not hold; give the learner")
-        if isinstance(value, dict):
+        if isinstance(value, dict) and "hierarchy" in value:
             if value != {"hierarchy": hierarchy_digest(env, env.hierarchy())}:
                 raise ValueError(f"{where} with another hierarchy than {env.name}'s own; give the learner")
             value = env.hierarchy()
@@ -238,6 +286,8 @@ def _built(base: type[Any], name: str, settings: Mapping[str, Any], where: str) 
         nested = {k.removeprefix(f"{key}."): v for k, v in settings.items() if k.startswith(f"{key}.")}
         is_settings = isinstance(value, str) and value in {cls.__name__ for cls in _subclasses(Settings)}
         own[key] = _built(Settings, value, nested, where) if is_settings else value
+        if isinstance(value, dict):  # of the class of the default value
+            own[key] = type(classes[name].__dataclass_fields__[key].default)(**value["fields"])
     fields = classes[name].__dataclass_fields__
     return classes[name](**{key: value for key, value in own.items() if fields[key].init})
 

@@ -1,5 +1,6 @@
 """Relational learning in Mario: against plain Python, and the identities of the pseudo-reward."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -183,3 +184,31 @@ def test_only_mario_can_be_played():
 def test_wrong_roots_are_refused(options: dict[str, Any], message: str):
     with pytest.raises((TypeError, ValueError), match=message):
         hrl.SearchRoot(**options)
+
+
+def test_a_policy_over_states_takes_the_best_action(walk: Recorded, tmp_path: Path):
+    learner = RelationalHORDQ(epsilon=1.0, initial_value=-0.5)
+    state = learner.init(ENV, learner.prepare(ENV))
+    drawn = np.random.default_rng(5).normal(size=state.tables.weights.shape).astype(F)
+    hrl.Learned(ENV, learner, state.tables._replace(weights=drawn)).save(tmp_path / "x.npz")
+    found = hrl.Learned.load(tmp_path / "x.npz")
+    assert (found.env, found.learner) == (ENV, learner)
+    policy, python = found.policy(), PythonSARSA(learner)
+    python.weights = drawn.reshape(-1, ACTIONS)
+    states = [walk.first, *(step.next_state for step in walk.steps[::8])]
+    chosen = [policy(state) for state in states]
+    assert chosen == [int(python.values(python.concepts(state)).argmax()) for state in states]
+    assert len(set(chosen)) > 2
+    scheduled = RelationalHORDQ(pseudo_reward=lambda episode: 1.0 / (1 + episode))
+    with pytest.raises(ValueError, match="needs a number for pseudo_reward, which is a schedule"):
+        hrl.Learned(ENV, scheduled, state.tables).policy()
+
+
+def test_a_learner_with_a_root_comes_back_from_disk(tmp_path: Path):
+    learner = RelationalHORDQ(root=ROOT, pseudo_reward=3.0)
+    shapes = jax.eval_shape(lambda: learner.init(ENV, learner.prepare(ENV)).tables)
+    tables = jax.tree.map(lambda leaf: np.ones(leaf.shape, leaf.dtype), shapes)
+    hrl.Learned(ENV, learner, tables).save(tmp_path / "x.npz")
+    found = hrl.Learned.load(tmp_path / "x.npz")
+    assert (found.env, found.learner) == (ENV, learner)
+    jax.tree.map(np.testing.assert_array_equal, found.tables, tables)
