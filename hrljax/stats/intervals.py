@@ -47,7 +47,8 @@ def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) 
     count = values.notnull().sum(dim)
     mean = values.mean(dim)
     freedom = (count - 1).clip(1)
-    error = np.sqrt(((values - mean) ** 2).sum(dim) / freedom / count.clip(1)).where(count > 1)
+    variance = ((values - mean) ** 2).sum(dim) / freedom
+    error = ((variance / count.clip(1)) ** 0.5).where(count > 1)
     reach = xr.apply_ufunc(special.stdtrit, freedom, 0.5 + level / 2) * error
     return xr.Dataset({"mean": mean, "low": mean - reach, "high": mean + reach})
 
