@@ -1,6 +1,5 @@
 """Location of independent runs with intervals: Student's of the mean, and the bootstrap's of anything."""
 
-import numpy as np
 import xarray as xr
 from scipy import special
 
