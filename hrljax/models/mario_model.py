@@ -16,12 +16,17 @@ from jax import Array, lax
 
 from hrljax.envs.mario.competition import COLUMNS, ROWS, Episode, camera_column
 from hrljax.envs.mario.course import Course
+from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_SYMBOLS, VELOCITY_UNIT, cell, painted, window
 from hrljax.envs.mario.state import World
-from hrljax.envs.mario.tiles import TILE
+from hrljax.envs.mario.tiles import HEIGHT, TILE
+from hrljax.learners.base import Experience
 from hrljax.models.regression_tree import RegressionTree, Trees, predict
+from hrljax.planners.best_first import ModelFn
 
 _TARGETS = 4
+_BELOW = np.int32(NUM_SYMBOLS)
+"""The symbol of a cell below the level, for a model that knows it."""
 
 
 class Body(NamedTuple):
@@ -50,17 +55,28 @@ class Learned(NamedTuple):
     reward: Trees  # [1, 1, C]
 
 
+class ModelTables(NamedTuple):
+    """What a `MarioModel` has learned."""
+
+    replay: Replay
+    learned: Learned
+
+
 @dataclass(frozen=True)
 class MarioModel:
     """How the model is learned.
 
     Attributes:
         size: tiles from left to right and from top to bottom around Mario, an odd number.
+        offsets: whether Mario's place within his tile is an input too, in x and y.
+        below: whether what lies below the level is a tile of its own; if not, the level goes on.
         rows: N, transitions that are kept and fitted.
         max_depth, min_leaf, num_bins: see `hrljax.models.regression_tree.RegressionTree`.
     """
 
     size: int = 5
+    offsets: bool = False
+    below: bool = False
     rows: int = 20_000
     max_depth: int = 12
     min_leaf: int = 5
@@ -68,7 +84,7 @@ class MarioModel:
 
     @property
     def num_inputs(self) -> int:
-        return self.size**2 + 2
+        return self.size**2 + (4 if self.offsets else 2)
 
     @cached_property
     def motion_tree(self) -> RegressionTree:
@@ -78,8 +94,36 @@ class MarioModel:
         return self._tree((num_actions,))
 
     def _tree(self, more: tuple[int, ...]) -> RegressionTree:
-        categories = (NUM_SYMBOLS,) * self.size**2 + (0, 0) + more
+        tiles = self.size**2
+        categories = (NUM_SYMBOLS + self.below,) * tiles + (0,) * (self.num_inputs - tiles) + more
         return RegressionTree(categories, self.max_depth, self.min_leaf, self.num_bins)
+
+    def init(self, env: Mario) -> ModelTables:
+        return ModelTables(self.empty(), self.unfitted(env.num_actions))
+
+    def observe(self, env: Mario, tables: ModelTables, step: Experience, live: Array) -> ModelTables:
+        """Keeps a transition for the next fit, where `live`."""
+        before, after = step.state.world, step.next_state.world
+        replay = self.add(
+            tables.replay,
+            self.inputs(env.course, before),
+            step.action,
+            body_of(before),
+            body_of(after),
+            step.reward,
+            step.terminated,
+            env.num_actions,
+            live,
+        )
+        return tables._replace(replay=replay)
+
+    def refit(self, env: Mario, tables: ModelTables) -> ModelTables:
+        """Fits the trees to what is kept."""
+        return tables._replace(learned=self.fit(tables.replay, env.num_actions))
+
+    def planned(self, env: Mario, tables: ModelTables, episode: Episode) -> tuple[ModelFn, Body]:
+        """What a planner searches from a moment of an episode: the model, and the state to start in."""
+        return self.look_ahead(tables.learned, env.course, episode), body_of(episode.world)
 
     def empty(self) -> Replay:
         rows = self.rows + 1
@@ -103,7 +147,23 @@ class MarioModel:
     def inputs(self, course: Course, world: World) -> Array:
         """What the model reads of the game, ``[F]`` float32."""
         body = body_of(world)
-        return _joined(window(course, world, self.size), body)
+        _, row = cell(body.x, body.y)
+        return self._joined(self._marked(window(course, world, self.size), row - np.int32(self.size // 2)), body)
+
+    def _marked(self, tiles: Array, top: Array) -> Array:
+        """The tiles of a part of the screen whose first row is `top`, with those below the level as a kind of their own."""
+        if not self.below:
+            return tiles
+        rows = top + np.arange(len(tiles), dtype=np.int32)
+        return jnp.where(rows[:, None] < HEIGHT, tiles, _BELOW)
+
+    def _joined(self, tiles: Array, body: Body) -> Array:
+        numbers = [body.dx, body.dy]
+        if self.offsets:
+            column, row = cell(body.x, body.y)
+            tile = np.float32(1 / TILE)
+            numbers += [body.x * tile - column.astype(jnp.float32), body.y * tile - row.astype(jnp.float32)]
+        return jnp.concatenate([tiles.ravel().astype(jnp.float32), jnp.stack(numbers)])
 
     def add(
         self,
@@ -150,12 +210,12 @@ class MarioModel:
         screen = painted(course, episode.world, left, jnp.int32(top), width, height)
         seen = np.zeros((height, width), np.bool_)
         seen[:, margin : margin + COLUMNS] = True
-        screen = jnp.where(seen, screen, 0)
+        screen = self._marked(jnp.where(seen, screen, 0), jnp.int32(top))
 
         def model(body: Body, action: Array) -> tuple[Body, Array]:
             column, row = cell(body.x, body.y)
             corner = (row - np.int32(margin) - top, column - np.int32(margin) - left)
-            inputs = _joined(lax.dynamic_slice(screen, corner, (self.size, self.size)), body)
+            inputs = self._joined(lax.dynamic_slice(screen, corner, (self.size, self.size)), body)
             change = [predict(learned.motion, inputs, action, k) for k in range(_TARGETS)]
             with_action = jnp.concatenate([inputs, action.astype(jnp.float32)[None]])
             reward = predict(learned.reward, with_action, 0, 0)
@@ -171,6 +231,3 @@ def body_of(world: World) -> Body:
     player, unit = world.player, np.float32(1 / VELOCITY_UNIT)
     return Body(player.x, player.y, (player.x - player.x_old) * unit, (player.y - player.y_old) * unit)
 
-
-def _joined(tiles: Array, body: Body) -> Array:
-    return jnp.concatenate([tiles.ravel().astype(jnp.float32), jnp.stack([body.dx, body.dy])])
