@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import jax
 import tyro
@@ -33,6 +34,10 @@ class Options:
     """Episodes of each run."""
     pseudo_rewards: tuple[float, ...] = (*mario_hybrid.PSEUDO_REWARDS, mario_hybrid.FOLLOWS)
     """Pseudo-rewards of Model+HORDQ; a million stands for the model alone."""
+    model: Literal["learned", "given"] = "learned"
+    """The root's model: the thesis's regression trees, or Mario's own dynamics in a level without things."""
+    best: bool = True
+    """Whether to run the best configuration that was found, too."""
     film: bool = True
     """Whether to make the film and the picture of a search."""
     out: Path = Path("runs/table_4_1")
@@ -48,9 +53,16 @@ def main(options: Options) -> int:
     check_count("--episodes", options.episodes)
     check_count("--key", options.key, least=0)
     options.out.mkdir(parents=True, exist_ok=True)
-    env, root = mario_hybrid.environment(), SearchRoot()
+    env, root = mario_hybrid.environment(), mario_hybrid.ROOTS[options.model]
     curves = mario_hybrid.run(
-        env, root, options.seeds, options.episodes, options.pseudo_rewards, cores=options.cores, key=options.key
+        env,
+        root,
+        options.seeds,
+        options.episodes,
+        options.pseudo_rewards,
+        options.best,
+        cores=options.cores,
+        key=options.key,
     )
     rows = [mario_hybrid.summary_row(name, dataset) for name, dataset in curves.items()]
     for i, dataset in enumerate(curves.values()):
@@ -58,13 +70,12 @@ def main(options: Options) -> int:
     (options.out / "summary.json").write_text(json.dumps(rows, indent=1) + "\n")
     (options.out / "table_4_1.csv").write_text(curves_csv(("", name, dataset) for name, dataset in curves.items()))
     mario_hybrid.counts_picture(rows).savefig(options.out / "table_4_1.png", dpi=110)
-    shown = {name: curves[name] for name in mario_hybrid.THESIS if name in curves}
+    shown = {name: curves[name] for name in (*mario_hybrid.THESIS, mario_hybrid.BEST_NAME) if name in curves}
     mario_hybrid.distance_picture(shown).savefig(options.out / "figure_4_5.png", dpi=110)
     print(mario_hybrid.table(rows))
     complete = all(dataset.attrs["complete"] for dataset in curves.values())
     if complete and options.film:
-        best = max((k for k in options.pseudo_rewards), key=lambda k: _finished(rows, mario_hybrid.name_of(k)))
-        learner = RelationalHORDQ(root, pseudo_reward=best)
+        learner = _learner(max(rows, key=lambda row: row["finished"]["mean"])["name"], root, options)
         agent = mario_hybrid.trained(env, learner, options.episodes, jax.random.key(options.key))
         game = mario_hybrid.best_game(agent, tries=20)
         mario_hybrid.film(agent, game, options.out / "finished.gif")
@@ -76,8 +87,12 @@ def main(options: Options) -> int:
     return 0 if complete else 130
 
 
-def _finished(rows: list[dict], name: str) -> float:
-    return next(row["finished"]["mean"] or 0.0 for row in rows if row["name"] == name)
+def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:
+    """The learner of a row that has a root to look into; the model alone in place of SARSA."""
+    if name == mario_hybrid.BEST_NAME:
+        return mario_hybrid.BEST
+    named = {mario_hybrid.name_of(k): k for k in options.pseudo_rewards}
+    return RelationalHORDQ(root, pseudo_reward=named.get(name, mario_hybrid.FOLLOWS))
 
 
 if __name__ == "__main__":

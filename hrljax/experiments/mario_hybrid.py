@@ -19,6 +19,7 @@ from hrljax.experiments.rows import interval_row
 from hrljax.learners.base import Moment, tabulated
 from hrljax.learners.relational import RelationalHORDQ, Tables
 from hrljax.learners.search_root import SearchRoot
+from hrljax.models.mario_dynamics import MarioDynamics
 from hrljax.numerics import opaque_zero
 from hrljax.sweep import sweep
 from hrljax.train import train
@@ -31,6 +32,23 @@ WINDOW = 20
 THESIS = {"SARSA": 1, "Model": 0, "Model+HORDQ(10)": 277, "Model+HORDQ(20)": 64}
 """Levels finished in 1000 episodes (thesis Table 4.1)."""
 
+ROOTS = {
+    "learned": SearchRoot(),
+    "given": SearchRoot(model=MarioDynamics(), priority="last_reward", answer="leaf"),
+}
+"""The thesis's root, which learns its model, and one that is given Mario's own dynamics in a level without things."""
+BEST = RelationalHORDQ(
+    SearchRoot(stop_reward=12.0, model=MarioDynamics(), max_nodes=600, priority="last_reward", answer="leaf"),
+    pseudo_reward=15.0,
+    step_size=0.1,
+    epsilon=0.001,
+    discount=0.9,
+    trace_decay=0.8,
+    trace_length=12,
+)
+"""The best configuration found by sweeps on this level: not the thesis's."""
+BEST_NAME = "best found"
+
 
 def environment() -> Mario:
     """The thesis's level: seed 1247, type 0, difficulty 3."""
@@ -42,15 +60,23 @@ def name_of(pseudo_reward: float) -> str:
 
 
 def run(
-    env: Mario, root: SearchRoot, seeds: int, num_episodes: int, pseudo_rewards: Iterable[float], **options: Any
+    env: Mario,
+    root: SearchRoot,
+    seeds: int,
+    num_episodes: int,
+    pseudo_rewards: Iterable[float],
+    best: bool = False,
+    **options: Any,
 ) -> dict[str, xr.Dataset]:
-    """Every method's curve, one bin an episode; `options` as of `hrljax.sweep`."""
+    """Every method's curve, one bin an episode, and at last `BEST`'s; `options` as of `hrljax.sweep`."""
     common = {"seeds": seeds, "num_episodes": num_episodes, "bin_size": 1, "chunk_size": 1, **options}
     found = {"SARSA": sweep(env, RelationalHORDQ(), **common)}
     axis = [*pseudo_rewards]
     if found["SARSA"].attrs["complete"] and axis:
         hybrid = sweep(env, RelationalHORDQ(root), axes={"pseudo_reward": axis}, **common)
         found |= {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
+    if best and all(dataset.attrs["complete"] for dataset in found.values()):
+        found[BEST_NAME] = sweep(env, BEST, **common)
     return found
 
 

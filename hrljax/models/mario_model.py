@@ -151,7 +151,7 @@ class MarioModel:
         return self._joined(self._marked(window(course, world, self.size), row - np.int32(self.size // 2)), body)
 
     def _marked(self, tiles: Array, top: Array) -> Array:
-        """The tiles of a part of the screen whose first row is `top`, with those below the level as a kind of their own."""
+        """A part of the screen, its first row being `top`, with what lies below the level as a kind of its own."""
         if not self.below:
             return tiles
         rows = top + np.arange(len(tiles), dtype=np.int32)
@@ -230,4 +230,3 @@ def body_of(world: World) -> Body:
     """Mario's position and the velocity that the competition shows."""
     player, unit = world.player, np.float32(1 / VELOCITY_UNIT)
     return Body(player.x, player.y, (player.x - player.x_old) * unit, (player.y - player.y_old) * unit)
-
