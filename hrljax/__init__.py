@@ -26,6 +26,7 @@ from hrljax.learners.rmax import RMax  # noqa: E402
 from hrljax.learners.roots import ModelRoot, RandomRoot  # noqa: E402
 from hrljax.learners.search_root import SearchRoot  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
+from hrljax.models.mario_dynamics import MarioDynamics  # noqa: E402
 from hrljax.models.mario_model import MarioModel  # noqa: E402
 from hrljax.planners.best_first import best_first_search  # noqa: E402
 from hrljax.results import load, save  # noqa: E402
@@ -46,6 +47,7 @@ __all__ = [
     "Environment",
     "Hierarchy",
     "Learned",
+    "MarioDynamics",
     "MarioModel",
     "ModelRoot",
     "OptionQ",

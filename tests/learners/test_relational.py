@@ -10,7 +10,7 @@ import pytest
 
 import hrljax as hrl
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
+from hrljax.envs.mario.features import NUM_OBJECT_CELLS, NUM_SYMBOLS, object_cells, objects
 from hrljax.learners.base import Experience, Moment
 from hrljax.learners.relational import RelationalHORDQ
 from hrljax.random import WORD_RANGE
@@ -126,9 +126,10 @@ def test_a_huge_pseudo_reward_follows_the_root(walk: Recorded):
     assert all(int(control.action) == int(control.plan.action) for control in controls)
 
 
-def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk: Recorded):
+@pytest.mark.parametrize("more", [{}, {"offsets": True, "below": True}], ids=["thesis", "offsets and below"])
+def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk: Recorded, more: dict[str, Any]):
     """With a leaf for every transition the model gives back what it has seen."""
-    model = hrl.MarioModel(rows=32, max_depth=20, min_leaf=1, num_bins=64)
+    model = hrl.MarioModel(rows=32, max_depth=20, min_leaf=1, num_bins=64, **more)
     learner = RelationalHORDQ(hrl.SearchRoot(model=model, depth=1, max_nodes=9))
     tables, _ = replayed(learner, walk)
     replay = tables.root.replay
@@ -146,6 +147,17 @@ def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk:
         after, reward = predicted(learned, step)
         errors.append((float(after.x - step.next_state.world.player.x), float(reward - step.reward)))
     assert np.median(np.abs(errors), axis=0).max() < 0.05
+
+
+def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: Recorded):
+    model = hrl.MarioModel(offsets=True, below=True)
+    world = walk.first.world
+    world = world._replace(player=world.player._replace(x=jnp.float32(100.0), y=jnp.float32(212.0)))
+    inputs = np.asarray(model.inputs(ENV.course, world))
+    assert inputs.shape == (model.num_inputs,) == (29,)
+    # Column 6 and row 13; rows 11 to 15 are seen, and the last one is below the 15 of the level.
+    np.testing.assert_array_equal(inputs[-2:], [100 / 16 - 6, 212 / 16 - 13])
+    np.testing.assert_array_equal(inputs[:25].reshape(5, 5) == NUM_SYMBOLS, np.arange(5)[:, None] == [4] * 5)
 
 
 def body(episode: Any) -> Any:
