@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -137,4 +138,4 @@ def test_a_run_is_evaluated_after_the_last_episode_of_a_bin():
 def test_a_key_may_be_a_constant_of_the_compiled_function():
     """Where the compiler knows the key, it still may not fuse what a run rounds separately."""
     key = jax.random.key(4)
-    jax.tree.map(np.testing.assert_array_equal, jax.jit(evaluated)(key), jax.jit(lambda: evaluated(key))())
+    chex.assert_trees_all_equal(jax.jit(evaluated)(key), jax.jit(lambda: evaluated(key))())

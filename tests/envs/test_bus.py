@@ -3,6 +3,7 @@
 from functools import partial
 from types import SimpleNamespace
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -211,7 +212,7 @@ def test_words_on_the_same_side_of_all_cuts_have_one_outcome(variant: tuple[Bus,
     edges = [[0, *(int(random.threshold(c)) for c in cuts)] for cuts in env.word_cuts(params)]
     lowest = [max(e for e in those if e <= word) for word, those in zip(words, edges, strict=True)]
     these, those = (tuple(jnp.uint32(w) for w in kind) for kind in (words, lowest))
-    jax.tree.map(np.testing.assert_array_equal, all_outcomes(env, params, these), all_outcomes(env, params, those))
+    chex.assert_trees_all_equal(all_outcomes(env, params, these), all_outcomes(env, params, those))
 
 
 @pytest.mark.parametrize("place", [(WEST_OF_A, 0, 0, ROAD_A), (NORTH_OF_B, 1, 5, NO_ROAD)])
@@ -258,7 +259,7 @@ def test_swept_parameters_give_the_same_step(bus: Bus):
     state = state_of(WEST_OF_A, road=ROAD_A)
     fixed = jax.jit(jax.vmap(lambda k: bus.step(k, state, EAST)))(keys)
     swept = jax.jit(jax.vmap(bus.step, (0, None, None, None)))(keys, state, jnp.int32(EAST), BusParams())
-    jax.tree.map(np.testing.assert_array_equal, fixed, swept)
+    chex.assert_trees_all_equal(fixed, swept)
 
 
 def test_step_truncates_at_the_limit_and_not_before(bus: Bus):

@@ -3,6 +3,7 @@
 from functools import cache
 from typing import Any, Protocol
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -127,4 +128,4 @@ def assert_learns_only_when_live(learner: Any) -> None:
     assert not np.array_equal(*(learner.action_values(tables) for tables in run(jnp.int32(1), jnp.bool_(True))))
     for live_steps in range(1, 4):
         before, after = jax.tree.map(np.asarray, run(jnp.int32(live_steps), jnp.bool_(False)))
-        jax.tree.map(np.testing.assert_array_equal, before, after)
+        chex.assert_trees_all_equal(before, after)

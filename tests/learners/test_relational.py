@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -223,4 +224,4 @@ def test_a_learner_with_a_root_comes_back_from_disk(tmp_path: Path):
     hrl.Learned(ENV, learner, tables).save(tmp_path / "x.npz")
     found = hrl.Learned.load(tmp_path / "x.npz")
     assert (found.env, found.learner) == (ENV, learner)
-    jax.tree.map(np.testing.assert_array_equal, found.tables, tables)
+    chex.assert_trees_all_equal(found.tables, tables)
