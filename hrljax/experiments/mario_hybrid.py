@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -32,6 +33,12 @@ WINDOW = 20
 THESIS = {"SARSA": 1, "Model": 0, "Model+HORDQ(10)": 277, "Model+HORDQ(20)": 64}
 """Levels finished in 1000 episodes (thesis Table 4.1)."""
 
+
+def _halved_every_100_episodes(start: float, end: float) -> optax.Schedule:
+    """Constant for 100 episodes, then halved in every 100, down to `end`."""
+    return optax.exponential_decay(start, 100, 0.5, transition_begin=100, end_value=end)
+
+
 ROOTS = {
     "learned": SearchRoot(),
     "given": SearchRoot(model=MarioDynamics(), priority="last_reward", answer="leaf"),
@@ -40,8 +47,8 @@ ROOTS = {
 BEST = RelationalHORDQ(
     SearchRoot(stop_reward=12.0, model=MarioDynamics(), max_nodes=600, priority="last_reward", answer="leaf"),
     pseudo_reward=15.0,
-    step_size=0.1,
-    epsilon=0.001,
+    step_size=_halved_every_100_episodes(0.1, end=0.01),
+    epsilon=_halved_every_100_episodes(0.001, end=0.0001),
     discount=0.9,
     trace_decay=0.8,
     trace_length=12,
@@ -214,7 +221,7 @@ def search_picture(agent: Agent, episode: Episode) -> Figure:
     y = np.asarray(tree.state.y) * pixels / TILE
     parent, number = np.asarray(tree.parent), int(tree.num_nodes)
     for node in range(1, number):
-        ax.plot(x[[parent[node], node]], y[[parent[node], node]], color="white", lw=0.7, alpha=0.7)
+        ax.plot(x[[parent[node], node]], y[[parent[node], node]], color="0.35", lw=0.7, alpha=0.5)
     ax.scatter(x[:number], y[:number], c=np.asarray(tree.value)[:number], s=14, cmap="viridis", zorder=3)
     node = int(found.node)
     while parent[node] >= 0:
