@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.mario.collision import Purse
-from hrljax.envs.mario.competition import TICKS, Episode, held_keys, keys_of
+from hrljax.envs.mario.competition import TICKS, Episode, held_keys, is_over
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.player import finish, move, steer
 from hrljax.envs.mario.state import Player
@@ -27,8 +27,16 @@ class Runner(NamedTuple):
 
     player: Player
     keys: Array  # int32: keys of the last action, which hold for one more tick
-    x: Array  # float32, in pixels
-    y: Array  # downwards
+
+    @property
+    def x(self) -> Array:
+        """In pixels."""
+        return self.player.x
+
+    @property
+    def y(self) -> Array:
+        """In pixels, downwards."""
+        return self.player.y
 
 
 @dataclass(frozen=True)
@@ -52,10 +60,9 @@ class MarioDynamics:
         world, params = episode.world, env.default_params
         exit_column = take(jnp.asarray(env.course.exit_column), world.level)
         purse = Purse(world.tiles, world.coins)
-        keys_by_action = jnp.asarray([keys_of(*action) for action in env.action_table], jnp.int32)
 
         def model(state: Runner, action: Array) -> tuple[Runner, Array]:
-            keys = take(keys_by_action, action)
+            keys = env.keys(action)
 
             def tick(carry: tuple[Array, Player]) -> tuple[Array, Player]:
                 number, player = carry
@@ -63,22 +70,17 @@ class MarioDynamics:
                 moved = move(purse, steer(player, held)).player
                 return number + 1, finish(moved, held, exit_column, env.course.num_columns).player
 
-            first = lax.select(_is_over(state.player), jnp.int32(TICKS), jnp.int32(0))
+            first = lax.select(is_over(state.player), jnp.int32(TICKS), jnp.int32(0))
             _, after = lax.while_loop(
-                lambda carry: (carry[0] < TICKS) & ~_is_over(carry[1]), tick, (first, state.player)
+                lambda carry: (carry[0] < TICKS) & ~is_over(carry[1]), tick, (first, state.player)
             )
             zero = opaque_zero(action.astype(jnp.uint32))
             distance = (after.x - state.x) * np.float32(1 / TILE)
             moved = exact_product(jnp.float32(params.displacement_reward), distance, zero)
             dies = (after.death_time > 0) & (state.player.death_time == 0)
             wins = (after.win_time > 0) & (state.player.win_time == 0)
-            usual = lax.select(_is_over(state.player), jnp.float32(0), jnp.float32(params.step_reward))
+            usual = lax.select(is_over(state.player), jnp.float32(0), jnp.float32(params.step_reward))
             last = lax.select(wins, jnp.float32(params.goal_reward), jnp.float32(params.death_reward))
-            return Runner(after, keys, after.x, after.y), lax.select(dies | wins, last, usual) + moved
+            return Runner(after, keys), lax.select(dies | wins, last, usual) + moved
 
-        player = world.player
-        return model, Runner(player, episode.keys, player.x, player.y)
-
-
-def _is_over(player: Player) -> Array:
-    return (player.death_time > 0) | (player.win_time > 0)
+        return model, Runner(world.player, episode.keys)

@@ -46,7 +46,8 @@ class Episode(NamedTuple):
     time: Array  # int32: steps taken
 
 
-def _over(player: Player) -> Array:
+def is_over(player: Player) -> Array:
+    """Whether Mario has died or reached the exit."""
     return (player.death_time > 0) | (player.win_time > 0)
 
 
@@ -97,14 +98,14 @@ def _ticks(course: Course, episode: Episode, keys: Array, late: Array, quantum: 
 
     def goes_on(carry: tuple[Array, World, Array]) -> Array:
         number, world, _ = carry
-        return (number < TICKS) & ((number == 0) | ~_over(world.player))
+        return (number < TICKS) & ((number == 0) | ~is_over(world.player))
 
     first = lax.select(episode.phase == PLAYING, jnp.int32(0), jnp.int32(TICKS))
     number, world, camera = lax.while_loop(goes_on, one, (first, episode.world, episode.camera))
     playing = episode.phase == PLAYING
-    unseen = playing & (number == TICKS) & _over(world.player)
+    unseen = playing & (number == TICKS) & is_over(world.player)
     phase = lax.select(unseen, jnp.int32(ENDED), jnp.int32(OBSERVED))
-    phase = lax.select(_over(world.player), phase, jnp.int32(PLAYING))
+    phase = lax.select(is_over(world.player), phase, jnp.int32(PLAYING))
     return Episode(world, lax.select(playing, keys, episode.keys), phase, camera, episode.time)
 
 

@@ -156,14 +156,17 @@ class Mario(Environment[Episode, MarioParams]):
         self, state: Episode, action: Array, words: tuple[Array, ...], params: MarioParams
     ) -> tuple[Episode, Array, Array, dict[str, Array]]:
         self._check_action(action)
-        keys = np.array([keys_of(*action) for action in self.action_table], np.int32)
-        after = advance(self.course, state, take(jnp.asarray(keys), action), params.max_steps, self.quantum)
+        after = advance(self.course, state, self.keys(action), params.max_steps, self.quantum)
         terminated = after.phase == OBSERVED
         ends = terminated & (state.phase != OBSERVED)
         won = after.world.player.win_time > 0
         reward = _reward(state, after, params, ends, won)
         info = {"win": ends & won, "death": ends & ~won, **_progress(state.world, after.world)}
         return after, reward, terminated, info
+
+    def keys(self, action: Array) -> Array:
+        """The keys that an action holds, as bits of `hrljax.envs.mario.state` (int32)."""
+        return take(jnp.asarray(np.array([keys_of(*action) for action in self.action_table], np.int32)), action)
 
     def _check_action(self, action: Any) -> None:
         if jnp.shape(action) != () or not jnp.issubdtype(jnp.result_type(action), jnp.integer):
