@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hrljax.experiments import mario_hybrid, mario_search
+from hrljax.experiments import mario_ablation, mario_hybrid, mario_search
 from hrljax.learners.relational import RelationalHORDQ
+from hrljax.models.mario_model import MarioModel
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -64,6 +65,23 @@ def test_every_reading_of_the_search_is_tried_once():
     assert line.split() == ["cumulative", "leaf", "300", "generated", "-", "316.0", "118", "finished"]
 
 
+def test_an_ablation_changes_what_it_says_and_nothing_else():
+    base = mario_ablation.CHANGES["as read by default"]
+    assert base.search_root() == mario_hybrid.ROOTS["learned"]
+    assert base.environment() == mario_hybrid.environment()
+    roots = {name: change.search_root() for name, change in mario_ablation.CHANGES.items()}
+    together = roots["search and trees"]
+    assert (together.priority, together.answer, together.max_nodes) == ("last_reward", "leaf", 1000)
+    assert isinstance(together.model, MarioModel)
+    assert (together.model.min_leaf, together.model.offsets) == (1, True)
+    assert roots["trees grown out"].priority == roots["as read by default"].priority
+    in_the_game = {"a death costs 10", "quantum 16"}
+    for name, change in mario_ablation.CHANGES.items():
+        same = change.search_root() == base.search_root()
+        assert same == (name in in_the_game | {"as read by default"})
+        assert bool(change.env or change.params) == (name in in_the_game)
+
+
 def test_a_film_is_of_a_learner_with_a_root():
     script = runpy.run_path(str(SCRIPTS / "table_4_1.py"))
     options = script["Options"](pseudo_rewards=(10.0,), model="given")
@@ -79,6 +97,8 @@ def test_a_film_is_of_a_learner_with_a_root():
     [
         ("table_4_1.py", ["--seeds", "0"], "--seeds must be"),
         ("mario_search.py", ["--more-nodes", "0"], "--more-nodes must be"),
+        ("mario_ablation.py", ["--episodes", "0"], "--episodes must be"),
+        ("mario_generalisation.py", ["--levels", "0"], "--levels must be"),
         ("figure_4_5.py", ["--runs", "nowhere"], "run scripts/table_4_1.py"),
     ],
 )

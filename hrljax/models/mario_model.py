@@ -21,12 +21,15 @@ from hrljax.envs.mario.features import NUM_SYMBOLS, VELOCITY_UNIT, cell, painted
 from hrljax.envs.mario.state import World
 from hrljax.envs.mario.tiles import HEIGHT, TILE
 from hrljax.learners.base import Experience
+from hrljax.models.met import is_met, mark, nothing_met
 from hrljax.models.regression_tree import RegressionTree, Trees, predict
 from hrljax.planners.best_first import ModelFn
 
 _TARGETS = 4
 _BELOW = np.int32(NUM_SYMBOLS)
 """The symbol of a cell below the level, for a model that knows it."""
+_ROUNDED_TO = np.float32(32)
+"""Velocities and places in a tile count as met to a 32nd."""
 
 
 class Body(NamedTuple):
@@ -60,6 +63,7 @@ class ModelTables(NamedTuple):
 
     replay: Replay
     learned: Learned
+    met: Any  # which inputs and actions have been met, see `hrljax.models.met`; () without pessimism
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,8 @@ class MarioModel:
         below: whether what lies below the level is a tile of its own; if not, the level goes on.
         rows: N, transitions that are kept and fitted.
         max_depth, min_leaf, num_bins: see `hrljax.models.regression_tree.RegressionTree`.
+        pessimism: taken off the predicted reward of a step whose inputs, numbers rounded to a 32nd,
+            have not been met with its action (as Kidambi et al. 2020 do).
     """
 
     size: int = 5
@@ -81,6 +87,11 @@ class MarioModel:
     max_depth: int = 12
     min_leaf: int = 5
     num_bins: int = 128
+    pessimism: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.pessimism < np.inf:
+            raise ValueError(f"MarioModel: pessimism must be a number of at least 0, got {self.pessimism!r}")
 
     @property
     def num_inputs(self) -> int:
@@ -99,14 +110,18 @@ class MarioModel:
         return RegressionTree(categories, self.max_depth, self.min_leaf, self.num_bins)
 
     def init(self, env: Mario) -> ModelTables:
-        return ModelTables(self.empty(), self.unfitted(env.num_actions))
+        met = nothing_met() if self.pessimism else ()
+        return ModelTables(self.empty(), self.unfitted(env.num_actions), met)
 
     def observe(self, env: Mario, tables: ModelTables, step: Experience, live: Array) -> ModelTables:
         """Keeps a transition for the next fit, where `live`."""
         before, after = step.state.world, step.next_state.world
+        inputs, met = self.inputs(env.course, before), tables.met
+        if self.pessimism:
+            met = mark(met, self._rounded(inputs, step.action), live)
         replay = self.add(
             tables.replay,
-            self.inputs(env.course, before),
+            inputs,
             step.action,
             body_of(before),
             body_of(after),
@@ -115,7 +130,7 @@ class MarioModel:
             env.num_actions,
             live,
         )
-        return tables._replace(replay=replay)
+        return tables._replace(replay=replay, met=met)
 
     def refit(self, env: Mario, tables: ModelTables) -> ModelTables:
         """Fits the trees to what is kept."""
@@ -123,7 +138,7 @@ class MarioModel:
 
     def planned(self, env: Mario, tables: ModelTables, episode: Episode) -> tuple[ModelFn, Body]:
         """What a planner searches from a moment of an episode: the model, and the state to start in."""
-        return self.look_ahead(tables.learned, env.course, episode), body_of(episode.world)
+        return self.look_ahead(tables.learned, env.course, episode, tables.met), body_of(episode.world)
 
     def empty(self) -> Replay:
         rows = self.rows + 1
@@ -202,7 +217,13 @@ class MarioModel:
         reward = self.reward_tree(num_actions).fit_groups(replay.inputs, replay.reward[:, None], everything, 1, count)
         return Learned(motion, reward)
 
-    def look_ahead(self, learned: Learned, course: Course, episode: Episode) -> Any:
+    def _rounded(self, inputs: Array, action: Array) -> Array:
+        """Inputs and action as whole numbers, int32 ``[F + 1]``."""
+        is_tile = np.arange(self.num_inputs) < self.size**2
+        steps = np.where(is_tile, np.float32(1), _ROUNDED_TO)
+        return jnp.append(jnp.round(inputs * steps).astype(jnp.int32), action)
+
+    def look_ahead(self, learned: Learned, course: Course, episode: Episode, met: Any = ()) -> Any:
         """``model(body, action) -> next_body, reward`` on the screen as it is now, for a planner."""
         margin = self.size // 2
         left, top = camera_column(episode) - np.int32(margin), np.int32(-margin)
@@ -219,6 +240,9 @@ class MarioModel:
             change = [predict(learned.motion, inputs, action, k) for k in range(_TARGETS)]
             with_action = jnp.concatenate([inputs, action.astype(jnp.float32)[None]])
             reward = predict(learned.reward, with_action, 0, 0)
+            if self.pessimism:
+                known = is_met(met, self._rounded(inputs, action))
+                reward = reward - lax.select(known, jnp.float32(0), jnp.float32(self.pessimism))
             tile = np.float32(TILE)
             after = Body(body.x + change[0] * tile, body.y + change[1] * tile, change[2], change[3])
             return after, reward

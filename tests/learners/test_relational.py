@@ -1,5 +1,6 @@
 """Relational learning in Mario: against plain Python, and the identities of the pseudo-reward."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -150,6 +151,28 @@ def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk:
     assert np.median(np.abs(errors), axis=0).max() < 0.05
 
 
+def test_pessimism_takes_off_what_was_not_met(walk: Recorded):
+    model = hrl.MarioModel(rows=32, pessimism=2.0)
+    plain = dataclasses.replace(model, pessimism=0.0)
+    tables, _ = replayed(RelationalHORDQ(hrl.SearchRoot(model=model, depth=1, max_nodes=9)), walk)
+
+    def rewards(of: hrl.MarioModel, episode: Any) -> np.ndarray:
+        ahead, start = of.planned(ENV, tables.root, episode)
+        return np.array([float(ahead(start, jnp.int32(action))[1]) for action in range(ACTIONS)])
+
+    def rounded(step: Experience) -> bytes:
+        inputs = np.asarray(model.inputs(ENV.course, step.state.world))
+        return np.append(inputs[:-2], np.round(inputs[-2:] * 32)).tobytes()
+
+    met = {(rounded(step), int(step.action)) for step in walk.steps}
+    # From three tiles on, all that the model reads is on the screen.
+    for step in [step for step in walk.steps if float(step.state.world.player.x) > 48][:3]:
+        expected = [0.0 if (rounded(step), action) in met else 2.0 for action in range(ACTIONS)]
+        np.testing.assert_allclose(rewards(plain, step.state) - rewards(model, step.state), expected, atol=1e-5)
+        assert 0.0 in expected
+    assert plain.init(ENV).met == ()
+
+
 def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: Recorded):
     model = hrl.MarioModel(offsets=True, below=True)
     world = walk.first.world
@@ -225,3 +248,9 @@ def test_a_learner_with_a_root_comes_back_from_disk(tmp_path: Path):
     found = hrl.Learned.load(tmp_path / "x.npz")
     assert (found.env, found.learner) == (ENV, learner)
     chex.assert_trees_all_equal(found.tables, tables)
+
+
+@pytest.mark.parametrize("pessimism", [-1.0, float("nan"), float("inf")])
+def test_wrong_pessimism_is_refused(pessimism: float):
+    with pytest.raises(ValueError, match="pessimism must be a number of at least 0"):
+        hrl.MarioModel(pessimism=pessimism)

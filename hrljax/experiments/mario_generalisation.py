@@ -1,0 +1,205 @@
+"""Trained on some levels of Infinite Mario, played on others: what a hybrid learns that is not of one level."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import Array, lax
+from matplotlib.figure import Figure
+
+from hrljax import batch, stats
+from hrljax.envs.mario.competition import begin
+from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.generator import generate_level
+from hrljax.envs.mario.level_ascii import to_ascii
+from hrljax.experiments import mario_hybrid
+from hrljax.experiments.rows import interval_row
+from hrljax.learned import Learned
+from hrljax.learners.base import Moment
+from hrljax.learners.relational import RelationalHORDQ
+from hrljax.numerics import opaque_zero
+from hrljax.sweep import sweep
+
+LEVEL_TYPES = (0, 1, 2)
+"""Overground, underground, castle."""
+DIFFICULTIES = (0, 1, 2, 3, 4, 5)
+PLAYED_FROM = 10_001
+"""The first seed of the levels that are played; those that are trained on have seeds below."""
+
+
+@dataclass(frozen=True)
+class LevelSet:
+    """Levels of every given type and difficulty, so many of each, with seeds that count up from `first_seed`."""
+
+    level_types: tuple[int, ...]
+    difficulties: tuple[int, ...]
+    each: int
+    first_seed: int
+
+    @cached_property
+    def table(self) -> list[tuple[int, int, int]]:
+        """Type, difficulty and seed of every level."""
+        seeds = range(self.first_seed, self.first_seed + self.each)
+        return [(t, d, seed) for t in self.level_types for d in self.difficulties for seed in seeds]
+
+    @cached_property
+    def environment(self) -> Mario:
+        """Mario by the thesis's rules, an episode on a random one of the levels."""
+        levels = (generate_level(seed, t, d) for t, d, seed in self.table)
+        return Mario(levels=tuple(map(to_ascii, levels)), preset="thesis")
+
+
+TRAINED_ON = {
+    "the thesis's level": LevelSet((0,), (3,), 1, 1247),
+    "20 levels like it": LevelSet((0,), (3,), 20, 1),
+    "36 levels of all kinds": LevelSet(LEVEL_TYPES, DIFFICULTIES, 2, 1),
+}
+_COUNTED = ("win", "distance", "length", "return")
+UNTRAINED = "nothing: the model alone"
+
+
+def frozen(learner: RelationalHORDQ) -> RelationalHORDQ:
+    """The learner as it plays: without exploration."""
+    return learner.replaced({"epsilon": 0.0, "step_size": 0.01})
+
+
+def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | None = None) -> dict[str, np.ndarray]:
+    """Plays every level once, without exploring or learning.
+
+    Args:
+        env: the levels.
+        learner: what decides; without schedules.
+        tables: what it has learned; may come from an environment of other levels.
+        cores: cores to use; all if None.
+
+    Returns:
+        By name, for every level: ``win``, ``distance`` (tiles), ``length`` (steps), ``return``; ``[L]`` float32.
+    """
+    prepared, params = learner.prepare(env), env.default_params
+
+    def game(row: Any) -> dict[str, Array]:
+        level, tables = row
+        zero = opaque_zero(level.astype(jnp.uint32))
+        moment = Moment(jnp.int32(0), jnp.bool_(True), zero)
+        nothing = (jnp.uint32(0),) * learner.num_begin_words
+
+        def step(carry: tuple[Any, Array, dict[str, Array]]) -> tuple[Any, Array, dict[str, Array]]:
+            state, _, sums = carry
+            action = learner.action(learner.begin(prepared, tables, state, nothing, moment))
+            state, reward, terminated, info = env.transition(state, action, (), params)
+            new = {"win": info["win"], "distance": info["distance"], "length": jnp.float32(1), "return": reward}
+            return state, terminated, {name: sums[name] + jnp.float32(value) for name, value in new.items()}
+
+        sums: dict[str, Array] = {name: jnp.float32(0) for name in _COUNTED}
+        start = (begin(env.course, level, env.quantum), jnp.bool_(False), sums)
+        return lax.while_loop(lambda carry: ~carry[1], step, start)[2]
+
+    mapping = batch.resolve_mapping("auto")
+    levels = np.arange(env.course.num_levels, dtype=np.int32)
+    everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(levels), *np.shape(leaf))), tables)
+    compiled = batch.compile_mapped(game, mapping, nested=env.has_loops)
+    found = batch.run_many(compiled, (levels, everywhere), mapping=mapping, cores=cores)
+    if not found.finished.all():
+        raise KeyboardInterrupt
+    return found.values
+
+
+def trained_tables(
+    level_set: LevelSet, learner: RelationalHORDQ, seeds: int, num_episodes: int, **options: Any
+) -> list[Any]:
+    """What each seed has learned on a set of levels; `options` as of `hrljax.sweep`."""
+    env = level_set.environment
+    curves = sweep(env, learner, seeds=seeds, num_episodes=num_episodes, chunk_size=1, keep_learned=True, **options)
+    if not curves.attrs["complete"]:
+        raise KeyboardInterrupt
+    return [Learned.of(curves, env, learner, seed=seed).tables for seed in range(seeds)]
+
+
+def rows(
+    trained_on: Iterable[str],
+    played: LevelSet,
+    learner: RelationalHORDQ,
+    seeds: int,
+    num_episodes: int,
+    cores: int | None = None,
+    key: int = 0,
+    report: Callable[[str], None] = lambda _: None,
+) -> Iterator[dict[str, Any]]:
+    """For every set that is trained on, and for the model alone, a row for every type and difficulty."""
+    for name in (UNTRAINED, *trained_on):
+        report(name)
+        playing = frozen(learner)
+        if name == UNTRAINED:
+            playing = playing.replaced({"pseudo_reward": mario_hybrid.FOLLOWS})
+            env = played.environment
+            tables = [jax.tree.map(np.asarray, learner.init(env, learner.prepare(env)).tables)]
+        else:
+            tables = trained_tables(TRAINED_ON[name], learner, seeds, num_episodes, cores=cores, key=key)
+        games = [play_levels(played.environment, playing, own, cores) for own in tables]
+        by_level = {of: np.stack([game[of] for game in games]) for of in games[0]}
+        yield from _by_kind(name, played, by_level)
+
+
+def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:
+    """A row for every type and difficulty, from arrays of seeds and levels."""
+    kinds = np.array([kind[:2] for kind in played.table])
+    for level_type in played.level_types:
+        for difficulty in played.difficulties:
+            own = (kinds == (level_type, difficulty)).all(axis=1)
+            wins = xr.DataArray(by_level["win"][:, own].mean(axis=1), dims="seed")
+            yield {
+                "trained_on": name,
+                "level_type": level_type,
+                "difficulty": difficulty,
+                "finished": interval_row(stats.mean_interval(wins)),
+                "distance": float(by_level["distance"][:, own].mean()),
+                "return": float(by_level["return"][:, own].mean()),
+                "length": float(by_level["length"][:, own].mean()),
+                "levels": int(own.sum()),
+                "seeds": len(wins),
+            }
+
+
+def table(found: Sequence[dict[str, Any]]) -> str:
+    """Percent of levels finished: a line for every set that was trained on and every type."""
+    difficulties = sorted({row["difficulty"] for row in found})
+    lines = [
+        f"{'trained on':26}{'type':>5}  " + "".join(f"{'d = ' + str(d):>8}" for d in difficulties) + f"{'mean':>8}"
+    ]
+    for name in dict.fromkeys(row["trained_on"] for row in found):
+        for level_type in sorted({row["level_type"] for row in found}):
+            own = [row for row in found if (row["trained_on"], row["level_type"]) == (name, level_type)]
+            percent = [100 * row["finished"]["mean"] for row in sorted(own, key=lambda row: row["difficulty"])]
+            cells = "".join(f"{value:8.0f}" for value in (*percent, np.mean(percent)))
+            lines.append(f"{name:26}{level_type:5}  {cells}")
+    lines.append(f"percent of {found[0]['levels']} levels that nothing was trained on, of each type and difficulty d")
+    return "\n".join(lines)
+
+
+def picture(found: Sequence[dict[str, Any]]) -> Figure:
+    """Levels finished by type and difficulty, a panel for every set that was trained on."""
+    names = list(dict.fromkeys(row["trained_on"] for row in found))
+    types, difficulties = (sorted({row[of] for row in found}) for of in ("level_type", "difficulty"))
+    figure = Figure(figsize=(3.1 * len(names) + 0.8, 2.6), layout="constrained")
+    axes = figure.subplots(1, len(names), squeeze=False)[0]
+    image = None
+    for ax, name in zip(axes, names, strict=True):
+        values = np.zeros((len(types), len(difficulties)))
+        for row in (row for row in found if row["trained_on"] == name):
+            values[types.index(row["level_type"]), difficulties.index(row["difficulty"])] = row["finished"]["mean"]
+        image = ax.imshow(values, vmin=0, vmax=1, cmap="viridis")
+        for (i, j), value in np.ndenumerate(values):
+            ax.text(j, i, f"{100 * value:.0f}", ha="center", va="center", color="white" if value < 0.6 else "black")
+        ax.set_xticks(range(len(difficulties)), [str(d) for d in difficulties])
+        ax.set_yticks(range(len(types)), [str(t) for t in types])
+        ax.set_title(name, fontsize="medium")
+        ax.set_xlabel("difficulty")
+    axes[0].set_ylabel("level type")
+    assert image is not None
+    figure.colorbar(image, ax=axes, label="levels finished", shrink=0.8)
+    return figure

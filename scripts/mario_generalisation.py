@@ -1,0 +1,78 @@
+"""Trains Mario on some levels and plays others, of every type and many difficulties: a table and a picture."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from hrljax.experiments import mario_generalisation, mario_hybrid
+from hrljax.train import check_count
+
+
+@dataclass(frozen=True)
+class Options:
+    """The best hybrid, trained on sets of levels, plays levels that it has not seen (types 0-2, difficulties 0-5).
+
+    Writes generalisation.png and summary.json: a list of "trained_on", "level_type", "difficulty",
+    "finished" (a fraction) with "mean", "lo", "hi", "distance" (tiles), "return", "length" (steps),
+    "levels", "seeds".
+    """
+
+    seeds: int = 4
+    """Runs of training for each set."""
+    episodes: int = 1000
+    """Episodes of each run."""
+    levels: int = 10
+    """Levels that are played, of each type and difficulty."""
+    out: Path = Path("runs/mario_generalisation")
+    """Folder for what is written."""
+    cores: int | None = None
+    """Cores to use; all if not given."""
+    key: int = 0
+    """Seed of all random numbers."""
+
+
+def main(options: Options) -> int:
+    for name in ("seeds", "episodes", "levels"):
+        check_count(f"--{name}", getattr(options, name))
+    check_count("--key", options.key, least=0)
+    options.out.mkdir(parents=True, exist_ok=True)
+    played = mario_generalisation.LevelSet(
+        mario_generalisation.LEVEL_TYPES,
+        mario_generalisation.DIFFICULTIES,
+        options.levels,
+        mario_generalisation.PLAYED_FROM,
+    )
+    found: list[dict] = []
+    complete = True
+    try:
+        for row in mario_generalisation.rows(
+            mario_generalisation.TRAINED_ON,
+            played,
+            mario_hybrid.BEST,
+            options.seeds,
+            options.episodes,
+            options.cores,
+            options.key,
+            report=lambda name: print(f"trained on {name} ...", flush=True),
+        ):
+            found.append(row)
+            (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+    except KeyboardInterrupt:
+        complete = False
+    if found:
+        print(mario_generalisation.table(found))
+        mario_generalisation.picture(found).savefig(options.out / "generalisation.png", dpi=110)
+        print(f"\nwritten to {options.out}")
+    if not complete:
+        print("interrupted: only what was finished is there", file=sys.stderr)
+    return 0 if complete else 130
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(Options)))
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
