@@ -64,6 +64,7 @@ def main(options: Options) -> int:
         complete = False
     if found:
         print(mario_generalisation.table(found))
+        print("\n" + mario_generalisation.table(found, "distance"))
         mario_generalisation.picture(found).savefig(options.out / "generalisation.png", dpi=110)
         print(f"\nwritten to {options.out}")
     if not complete:

@@ -56,6 +56,7 @@ def test_rows_are_means_over_levels_and_intervals_over_seeds():
     played = generalisation.LevelSet((1,), (0, 4), each=2, first_seed=1)
     by_level = {name: np.array([[1, 0, 0, 0], [1, 1, 0, 0]], np.float32) for name in ("win", "distance")}
     by_level |= {name: np.ones((2, 4), np.float32) for name in ("return", "length")}
+    by_level["distance"] *= 200
     easy, hard = generalisation._by_kind("some levels", played, by_level)
     assert (easy["level_type"], easy["difficulty"], hard["difficulty"]) == (1, 0, 4)
     assert (easy["levels"], easy["seeds"]) == (2, 2)
@@ -64,9 +65,10 @@ def test_rows_are_means_over_levels_and_intervals_over_seeds():
     assert hard["finished"]["mean"] == 0
     text = generalisation.table([easy, hard])
     assert text.splitlines()[1].split() == ["some", "levels", "1", "75", "0", "38"]
+    assert generalisation.table([easy, hard], "distance").splitlines()[1].split()[3:] == ["150", "0", "75"]
     figure = generalisation.picture([easy, hard])
-    assert figure.axes[0].get_title() == "some levels"
-    assert [text.get_text() for text in figure.axes[0].texts] == ["75", "0"]
+    assert figure.axes[0].get_title() == "trained on some levels"
+    assert [text.get_text() for text in figure.axes[0].texts] == ["150", "0"]
 
 
 def test_the_model_alone_is_not_trained(monkeypatch):

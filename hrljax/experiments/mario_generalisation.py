@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -60,6 +60,8 @@ TRAINED_ON = {
     "36 levels of all kinds": LevelSet(LEVEL_TYPES, DIFFICULTIES, 2, 1),
 }
 _COUNTED = ("win", "distance", "length", "return")
+_EXIT_DISTANCE = 316
+"""About how many tiles lie between the start of a level and its exit."""
 UNTRAINED = "nothing: the model alone"
 
 
@@ -165,24 +167,28 @@ def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> It
             }
 
 
-def table(found: Sequence[dict[str, Any]]) -> str:
-    """Percent of levels finished: a line for every set that was trained on and every type."""
+def table(found: Sequence[dict[str, Any]], of: Literal["finished", "distance"] = "finished") -> str:
+    """Percent of levels finished, or mean distance: a line for every set that was trained on and every type."""
     difficulties = sorted({row["difficulty"] for row in found})
-    lines = [
-        f"{'trained on':26}{'type':>5}  " + "".join(f"{'d = ' + str(d):>8}" for d in difficulties) + f"{'mean':>8}"
-    ]
+    heads = "".join(f"{'d = ' + str(d):>8}" for d in difficulties)
+    lines = [f"{'trained on':26}{'type':>5}  {heads}{'mean':>8}"]
     for name in dict.fromkeys(row["trained_on"] for row in found):
         for level_type in sorted({row["level_type"] for row in found}):
             own = [row for row in found if (row["trained_on"], row["level_type"]) == (name, level_type)]
-            percent = [100 * row["finished"]["mean"] for row in sorted(own, key=lambda row: row["difficulty"])]
-            cells = "".join(f"{value:8.0f}" for value in (*percent, np.mean(percent)))
+            values = [_shown(row, of) for row in sorted(own, key=lambda row: row["difficulty"])]
+            cells = "".join(f"{value:8.0f}" for value in (*values, np.mean(values)))
             lines.append(f"{name:26}{level_type:5}  {cells}")
-    lines.append(f"percent of {found[0]['levels']} levels that nothing was trained on, of each type and difficulty d")
+    what = "percent finished" if of == "finished" else "mean distance (tiles)"
+    lines.append(f"{what} of {found[0]['levels']} levels of each type and difficulty d that nothing was trained on")
     return "\n".join(lines)
 
 
+def _shown(row: dict[str, Any], of: Literal["finished", "distance"]) -> float:
+    return 100 * row["finished"]["mean"] if of == "finished" else row["distance"]
+
+
 def picture(found: Sequence[dict[str, Any]]) -> Figure:
-    """Levels finished by type and difficulty, a panel for every set that was trained on."""
+    """Mean distance by type and difficulty, a panel for every set that was trained on."""
     names = list(dict.fromkeys(row["trained_on"] for row in found))
     types, difficulties = (sorted({row[of] for row in found}) for of in ("level_type", "difficulty"))
     figure = Figure(figsize=(3.1 * len(names) + 0.8, 2.6), layout="constrained")
@@ -191,15 +197,15 @@ def picture(found: Sequence[dict[str, Any]]) -> Figure:
     for ax, name in zip(axes, names, strict=True):
         values = np.zeros((len(types), len(difficulties)))
         for row in (row for row in found if row["trained_on"] == name):
-            values[types.index(row["level_type"]), difficulties.index(row["difficulty"])] = row["finished"]["mean"]
-        image = ax.imshow(values, vmin=0, vmax=1, cmap="viridis")
+            values[types.index(row["level_type"]), difficulties.index(row["difficulty"])] = row["distance"]
+        image = ax.imshow(values, vmin=0, vmax=_EXIT_DISTANCE, cmap="viridis")
         for (i, j), value in np.ndenumerate(values):
-            ax.text(j, i, f"{100 * value:.0f}", ha="center", va="center", color="white" if value < 0.6 else "black")
+            ax.text(j, i, f"{value:.0f}", ha="center", va="center", color="white" if value < 190 else "black")
         ax.set_xticks(range(len(difficulties)), [str(d) for d in difficulties])
         ax.set_yticks(range(len(types)), [str(t) for t in types])
-        ax.set_title(name, fontsize="medium")
+        ax.set_title(f"trained on {name}" if name != UNTRAINED else "the model alone", fontsize="medium")
         ax.set_xlabel("difficulty")
     axes[0].set_ylabel("level type")
     assert image is not None
-    figure.colorbar(image, ax=axes, label="levels finished", shrink=0.8)
+    figure.colorbar(image, ax=axes, label="distance (tiles)", shrink=0.8)
     return figure
