@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from hrljax.experiments import mario_ablation, mario_hybrid
+from hrljax.experiments import mario_ablation
 from hrljax.train import check_count
 
 
@@ -22,6 +22,8 @@ class Options:
     """Runs of each row."""
     episodes: int = 500
     """Episodes of each run."""
+    only: tuple[str, ...] = ()
+    """Names of the rows to run; all if not given."""
     pseudo_reward: float = 10.0
     """What following the root is worth."""
     out: Path = Path("runs/mario_ablation")
@@ -36,17 +38,19 @@ def main(options: Options) -> int:
     for name in ("seeds", "episodes"):
         check_count(f"--{name}", getattr(options, name))
     check_count("--key", options.key, least=0)
-    options.out.mkdir(parents=True, exist_ok=True)
+    names = options.only or tuple(mario_ablation.CHANGES)
+    rows = mario_ablation.rows(
+        names, options.seeds, options.episodes, options.pseudo_reward, cores=options.cores, key=options.key
+    )
     found = []
-    for row in mario_ablation.rows(
-        options.seeds, options.episodes, options.pseudo_reward, cores=options.cores, key=options.key
-    ):
+    for row in rows:
+        options.out.mkdir(parents=True, exist_ok=True)
         found.append(row)
         (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
-        print(f"{row['name']:24}{row['finished']['mean']:8.1f}{row['distance']['mean']:8.1f}", flush=True)
-    print("\n" + mario_hybrid.table(found))
+        print(f"{row['name']:30}{row['finished']['mean']:8.1f}{row['distance']['mean']:8.1f}", flush=True)
+    print("\n" + mario_ablation.table(found))
     print(f"\nwritten to {options.out}")
-    complete = len(found) == len(mario_ablation.CHANGES) and found[-1]["seeds"] == options.seeds
+    complete = len(found) == len(names) and found[-1]["seeds"] == options.seeds
     if not complete:
         print("interrupted: only what was finished is there", file=sys.stderr)
     return 0 if complete else 130

@@ -82,6 +82,13 @@ def test_an_ablation_changes_what_it_says_and_nothing_else():
         assert bool(change.env or change.params) == (name in in_the_game)
 
 
+def test_an_ablations_table_has_a_line_for_every_row():
+    rows = [mario_hybrid.summary_row(name, curve([[0, 1], [1, 1]])) for name in ("quantum 16", "1000 nodes")]
+    lines = mario_ablation.table(rows).splitlines()
+    assert lines[1].split() == ["quantum", "16", "1.5", "262.0", "500"]
+    assert lines[-1] == "of 2 episodes, mean of 2 seeds; distance in tiles"
+
+
 def test_a_film_is_of_a_learner_with_a_root():
     script = runpy.run_path(str(SCRIPTS / "table_4_1.py"))
     options = script["Options"](pseudo_rewards=(10.0,), model="given")
@@ -98,6 +105,7 @@ def test_a_film_is_of_a_learner_with_a_root():
         ("table_4_1.py", ["--seeds", "0"], "--seeds must be"),
         ("mario_search.py", ["--more-nodes", "0"], "--more-nodes must be"),
         ("mario_ablation.py", ["--episodes", "0"], "--episodes must be"),
+        ("mario_ablation.py", ["--only", "luck"], "there is no change 'luck'"),
         ("mario_generalisation.py", ["--levels", "0"], "--levels must be"),
         ("figure_4_5.py", ["--runs", "nowhere"], "run scripts/table_4_1.py"),
     ],

@@ -1,7 +1,7 @@
 """Which of the details that the thesis leaves open moves the hybrid with a learned model: one change at a time."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,6 +44,7 @@ LAST_REWARD = Change(root={"priority": "last_reward"})
 LEAF = Change(root={"answer": "leaf"})
 NO_STOP = Change(root={"stop_reward": UNLIMITED})
 NODES = Change(root={"max_nodes": 1000})
+PESSIMISM = Change(root={"max_nodes": 2000}, model={"pessimism": 0.5})
 
 CHANGES = {
     "as read by default": Change(),
@@ -60,15 +61,26 @@ CHANGES = {
     "search: four together": LAST_REWARD | LEAF | NO_STOP | NODES,
     "trees: both together": GROWN_OUT | PLACE,
     "search and trees": LAST_REWARD | LEAF | NO_STOP | NODES | GROWN_OUT | PLACE,
+    "these, 2000 nodes, pessimism": LAST_REWARD | LEAF | NO_STOP | GROWN_OUT | PLACE | PESSIMISM,
 }
 
 
-def rows(seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: Any) -> Iterator[dict[str, Any]]:
-    """What Model+HORDQ does with each change, as of `mario_hybrid.summary_row`; `options` as of `hrljax.sweep`.
+def rows(
+    names: Iterable[str], seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: Any
+) -> Iterator[dict[str, Any]]:
+    """What Model+HORDQ does with each of some `CHANGES`, as of `mario_hybrid.summary_row`.
 
-    Ends after a row whose runs were interrupted.
+    Ends after a row whose runs were interrupted. `options` are of `hrljax.sweep`.
+
+    Raises:
+        ValueError: there is no change of a name.
     """
-    for name, change in CHANGES.items():
+    names = [*names]
+    for name in names:
+        if name not in CHANGES:
+            raise ValueError(f"there is no change {name!r}, only {', '.join(map(repr, CHANGES))}")
+    for name in names:
+        change = CHANGES[name]
         learner = RelationalHORDQ(change.search_root(), pseudo_reward=pseudo_reward)
         env, axes = change.environment(), {f"env.{param}": [value] for param, value in change.params.items()}
         curves = sweep(
@@ -77,3 +89,13 @@ def rows(seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: 
         yield mario_hybrid.summary_row(name, curves.squeeze(list(axes)))
         if not curves.attrs["complete"]:
             return
+
+
+def table(found: Sequence[dict[str, Any]]) -> str:
+    """The rows as text."""
+    lines = [f"{'':30}{'levels finished':>16}{'distance':>10}{'steps':>9}"]
+    for row in found:
+        own = f"{row['finished']['mean']:16.1f}{row['distance']['mean']:10.1f}{row['steps']:9.0f}"
+        lines.append(f"{row['name']:30}{own}")
+    lines.append(f"of {found[0]['episodes']} episodes, mean of {found[0]['seeds']} seeds; distance in tiles")
+    return "\n".join(lines)
