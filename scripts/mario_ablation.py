@@ -39,12 +39,13 @@ def main(options: Options) -> int:
         check_count(f"--{name}", getattr(options, name))
     check_count("--key", options.key, least=0)
     names = options.only or tuple(mario_ablation.CHANGES)
+    mario_ablation.check_names(names)
+    options.out.mkdir(parents=True, exist_ok=True)
     rows = mario_ablation.rows(
         names, options.seeds, options.episodes, options.pseudo_reward, cores=options.cores, key=options.key
     )
     found = []
     for row in rows:
-        options.out.mkdir(parents=True, exist_ok=True)
         found.append(row)
         (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
         print(f"{row['name']:30}{row['finished']['mean']:8.1f}{row['distance']['mean']:8.1f}", flush=True)

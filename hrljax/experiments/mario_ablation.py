@@ -7,13 +7,11 @@ from typing import Any
 
 from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid
+from hrljax.experiments.mario_search import UNLIMITED
 from hrljax.learners.relational import RelationalHORDQ
 from hrljax.learners.search_root import SearchRoot
 from hrljax.models.mario_model import MarioModel
 from hrljax.sweep import sweep
-
-UNLIMITED = 1e9
-"""A reward that no sequence of actions promises."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,15 @@ CHANGES = {
 }
 
 
+def check_names(names: Iterable[str]) -> None:
+    """Raises ValueError for a name that no change has."""
+    for name in names:
+        if name not in CHANGES:
+            raise ValueError(f"there is no change {name!r}, only {', '.join(map(repr, CHANGES))}")
+
+
 def rows(
-    names: Iterable[str], seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: Any
+    names: Sequence[str], seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: Any
 ) -> Iterator[dict[str, Any]]:
     """What Model+HORDQ does with each of some `CHANGES`, as of `mario_hybrid.summary_row`.
 
@@ -75,10 +80,7 @@ def rows(
     Raises:
         ValueError: there is no change of a name.
     """
-    names = [*names]
-    for name in names:
-        if name not in CHANGES:
-            raise ValueError(f"there is no change {name!r}, only {', '.join(map(repr, CHANGES))}")
+    check_names(names)
     for name in names:
         change = CHANGES[name]
         learner = RelationalHORDQ(change.search_root(), pseudo_reward=pseudo_reward)
