@@ -6,6 +6,8 @@ random words and enumerated with chosen ones (`hrljax.envs.base`).
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -84,31 +86,44 @@ def words(key: tuple[Array, Array], index: Array, num_words: int, stream: int = 
     return _pack(halves, num_words)
 
 
+@partial(jax.tree_util.register_dataclass, data_fields=["pairs"], meta_fields=["length", "num_words"])
+@dataclass(frozen=True)
 class WordBlock:
-    """The words of `length` successive positions of stream 0, computed at once as short vectors.
+    """The words of successive positions of stream 0; made by `word_block`."""
 
-    ``WordBlock(key, start, length, n)[i]`` equals ``words(key, start + i, n)``; a vector of
-    positions costs little more than one, so a loop takes its words from a block.
-    """
-
-    def __init__(self, key: tuple[Array, Array], start: Array, length: int, num_words: int):
-        self._lanes = num_blocks(num_words)
-        self._num_words = num_words
-        position = np.arange(length * self._lanes, dtype=np.uint32)
-        index = start + position // np.uint32(self._lanes)
-        lane = jnp.asarray(position % np.uint32(self._lanes))
-        # XLA would compute every round once for each of the two results. As one array of pairs,
-        # for which complex64 is the only type, they are computed once; no arithmetic touches them.
-        x0, x1 = threefry_2x32(key, (index, lane))
-        as_float = partial(lax.bitcast_convert_type, new_dtype=jnp.float32)
-        self._pairs = lax.complex(as_float(x0), as_float(x1))
+    pairs: Array  # [blocks * length] complex64: the two halves of each Threefry block, as bits
+    length: int
+    num_words: int
 
     def __getitem__(self, i: Array) -> tuple[Array, ...]:
+        """The words of position `i` (int32 scalar), scalars."""
+        return self._packed(lambda first: take(self.pairs, i + np.int32(first)))
+
+    def columns(self) -> tuple[Array, ...]:
+        """Each word at all positions, ``[length]``."""
+        return self._packed(lambda first: self.pairs[first : first + self.length])
+
+    def _packed(self, read: Callable[[int], Array]) -> tuple[Array, ...]:
         halves = []
-        for lane in range(self._lanes):
-            pair = take(self._pairs, i * np.int32(self._lanes) + np.int32(lane))
+        for pair in map(read, range(0, len(self.pairs), self.length)):
             halves += [lax.bitcast_convert_type(part, jnp.uint32) for part in (lax.real(pair), lax.imag(pair))]
-        return _pack(halves, self._num_words)
+        return _pack(halves, self.num_words)
+
+
+def word_block(key: tuple[Array, Array], start: Array, length: int, num_words: int) -> WordBlock:
+    """The words of `length` successive positions, computed at once as short vectors.
+
+    ``word_block(key, start, length, n)[i]`` equals ``words(key, start + i, n)``; a vector of
+    positions costs little more than one, so a loop takes its words from a block.
+    """
+    lanes = num_blocks(num_words)
+    index = start + np.tile(np.arange(length, dtype=np.uint32), lanes)
+    lane = jnp.asarray(np.repeat(np.arange(lanes, dtype=np.uint32), length))
+    # XLA would compute every round once for each of the two results. As one array of pairs,
+    # for which complex64 is the only type, they are computed once; no arithmetic touches them.
+    x0, x1 = threefry_2x32(key, (index, lane))
+    as_float = partial(lax.bitcast_convert_type, new_dtype=jnp.float32)
+    return WordBlock(lax.complex(as_float(x0), as_float(x1)), length, num_words)
 
 
 def below(word: Array, probability: Array | float) -> Array:

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax import random
+from hrljax import random, tally
 from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
-from hrljax.numerics import opaque_zero, stage
+from hrljax.numerics import opaque_zero
+from hrljax.simulation import simulator
+from hrljax.tally import BLOCK
 
 _BEGIN_STREAM = 2
-_BLOCK = 16
-"""Steps whose random words are computed at once."""
 
 Env = Environment[Any, Any]
 Evaluate = Callable[[Any], Array]
@@ -30,17 +30,26 @@ class Run(NamedTuple):
     steps: Array  # int32: primitive steps of the whole run
 
 
-_TERMINATED, _TRUNCATED = np.int32(-1), np.int32(-2)
-
-
 class _Loop(NamedTuple):
-    """What changes from step to step. A native loop pays for every entry, so there are few."""
+    """What changes from stretch to stretch."""
 
     learner: LearnerState
     state: Any  # the environment's state; its number (int32) if it is tabular
-    time: Array  # int32 steps taken in this episode; when it is over, why
-    episode: Any  # int32 episodes finished
-    sums: Array  # [1 + events + 1] float32, over the bin: reward, events, truncated episodes
+    time: Array  # int32 steps taken in this episode
+    episode: Array  # int32 episodes finished
+    reward: Array  # float32, over the bin
+    events: Array  # [events] float32, over the bin
+    truncated: Array  # int32 truncated episodes, over the bin
+    is_over: Array  # bool: the episode has just ended
+
+
+class _Stretch(NamedTuple):
+    """What changes from step to step. A native loop pays for every entry, so there are few."""
+
+    learner: LearnerState
+    state: Any
+    reward: Array
+    tally: Any  # see `hrljax.tally`
 
 
 def _select(condition: Array, these: Any, those: Any) -> Any:
@@ -51,7 +60,7 @@ def _zero(loop: _Loop) -> Array:
     """A zero that no compiler folds, even where the key is a constant: it knows nothing of the state."""
     if isinstance(loop.state, Array):
         return opaque_zero(loop.state.astype(jnp.uint32))
-    return opaque_zero(lax.bitcast_convert_type(loop.sums[0], jnp.uint32))
+    return opaque_zero(lax.bitcast_convert_type(loop.reward, jnp.uint32))
 
 
 def _small(loop: _Loop) -> tuple[Any, ...]:
@@ -148,15 +157,14 @@ def check_count(name: str, value: object, least: int = 1) -> None:
 
 
 class _Trainer:
-    """The training loop of one run, as nested loops: bins, plans, blocks of random words, steps."""
+    """The training loop of one run, as nested loops: bins, plans, blocks of random words, stretches, steps."""
 
     def __init__(self, env: Env, learner: Learner, key: Array, params: Any, num_episodes: int, lockstep: bool):
         self.env, self.learner, self.params = env, learner, params
         self.num_episodes, self.lockstep = num_episodes, lockstep
         self.key = random.key_words(key)
         self.prepared = learner.prepare(env)
-        self.tabular = env if isinstance(env, TabularEnvironment) else None
-        self.packed_transition = stage(self._packed_transition)
+        self.simulator = simulator(env, params, learner.num_words)
 
     def run(self, bin_size: int, evaluate_every: int | None) -> Run:
         sizes = bin_sizes(self.num_episodes, bin_size)
@@ -165,13 +173,16 @@ class _Trainer:
         control, first = self._begin(
             state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
         )
-        start = (_Loop(state._replace(control=control), first, zero, zero, self._nothing()), zero)
+        start = (_Loop(state._replace(control=control), first, zero, zero, *self._nothing(), jnp.bool_(False)), zero)
 
-        def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Array, Array]]:
+        def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Any, Array]]:
             end = jnp.minimum((number + 1) * bin_size, self.num_episodes)
             before = carry[1]
             loop, steps = lax.while_loop(lambda c: c[0].episode < end, lambda c: self._between_plans(*c, end), carry)
-            return (loop._replace(sums=self._nothing()), steps), (loop.sums, steps - before)
+            sums = (loop.reward, loop.events, loop.truncated)
+            reward, events, truncated = self._nothing()
+            loop = loop._replace(reward=reward, events=events, truncated=truncated)
+            return (loop, steps), (sums, steps - before)
 
         def run_stretch(carry: tuple[_Loop, Array], numbers: Array) -> tuple[tuple[_Loop, Array], Any]:
             carry, sums = lax.scan(run_bin, carry, numbers)
@@ -188,18 +199,17 @@ class _Trainer:
             sums = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *b.shape[1:]), b]), sums, rest)
         # Opaque, because XLA would multiply by the rounded reciprocal of a constant.
         episodes = (jnp.asarray(sizes, jnp.int32) + _zero(loop).astype(jnp.int32)).astype(jnp.float32)
-        rewards_and_events, length = sums
-        reward, *events = rewards_and_events.T
-        columns = [reward, length.astype(jnp.float32), *events]
+        (reward, events, truncated), length = sums
+        columns = [reward, length.astype(jnp.float32), *events.T, truncated.astype(jnp.float32)]
         metrics = {name: column / episodes for name, column in zip(metric_names(self.env), columns, strict=True)}
         return Run(loop.learner.tables, metrics, values, steps)
 
     def _evaluate(self, loop: _Loop) -> Array:
         return self.learner.greedy_return(self.env, self.prepared, loop.learner.tables, self.params, _zero(loop))
 
-    def _nothing(self) -> Array:
-        """The sums of a bin before its first step."""
-        return jnp.zeros(2 + len(self.env.metrics), jnp.float32)
+    def _nothing(self) -> tuple[Array, Array, Array]:
+        """Reward, events and truncated episodes of a bin before its first step."""
+        return jnp.float32(0), jnp.zeros(len(self.env.metrics), jnp.float32), jnp.int32(0)
 
     def _between_plans(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
         """Plans if it is time to, and runs episodes until it is time again or `end` is reached."""
@@ -216,95 +226,86 @@ class _Trainer:
         return lax.while_loop(lambda c: c[0].episode < end, lambda c: self._block(*c, end), (loop, steps))
 
     def _block(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
-        """Up to `_BLOCK` steps, none after `end` episodes; `steps` counts those of the whole run."""
-        num_words = self.env.num_words + self.learner.num_words
-        words = random.WordBlock(self.key, steps.astype(jnp.uint32), _BLOCK, num_words)
-
-        def step(carry: tuple[_Loop, Array], live: Array) -> tuple[_Loop, Array]:
-            return self._step(carry[0], words[carry[1]], live), carry[1] + live.astype(jnp.int32)
+        """Up to a block of steps, none after `end` episodes; `steps` counts those of the whole run."""
+        words = self.simulator.block(self.key, steps.astype(jnp.uint32))
 
         def alone(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """Steps to the end of the episode or of the block."""
-            episode = carry[0].episode
-
-            def one(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
-                loop, taken = step((carry[0]._replace(episode=episode), carry[1]), jnp.bool_(True))
-                return loop._replace(episode=()), taken
-
-            # The number of the episode does not change here, so it is not carried.
-            start = (carry[0]._replace(episode=()), carry[1])
-            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].time >= 0), one, start)
-            loop = loop._replace(episode=episode)
-            small = lax.cond(loop.time < 0, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
+            loop, taken = self._stretch(*carry, words, jnp.bool_(True))
+            small = lax.cond(loop.is_over, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
             return _with(loop, small), taken
 
         def in_lockstep(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """One step, which other runs take at the same time, and then perhaps the next beginning."""
             live = carry[0].episode < end
-            loop, taken = step(carry, live)
-            small = _select(loop.time < 0, _small(self._next_episode(loop)), _small(loop))
-            return _with(loop, _select(live, small, _small(carry[0]))), taken
+            loop, taken = self._stretch(*carry, words, live)
+            small = _select(loop.is_over, _small(self._next_episode(loop)), _small(loop))
+            return _with(loop, _select(live, small, _small(carry[0]))), lax.select(live, taken, carry[1])
 
         start = (loop, jnp.int32(0))
         if self.lockstep:
-            loop, taken = lax.fori_loop(0, _BLOCK, in_lockstep, start)
+            loop, taken = lax.fori_loop(0, BLOCK, in_lockstep, start)
         else:
-            loop, taken = lax.while_loop(lambda c: (c[1] < _BLOCK) & (c[0].episode < end), alone, start)
+            loop, taken = lax.while_loop(lambda c: (c[1] < BLOCK) & (c[0].episode < end), alone, start)
         return loop, steps + taken
+
+    def _stretch(self, loop: _Loop, taken: Array, words: Any, live: Array) -> tuple[_Loop, Array]:
+        """Steps to the end of the episode or of the block; in lockstep one, or none if not `live`.
+
+        `taken` counts those of the block.
+        """
+        counter, limit = self.simulator.counter, jnp.minimum(BLOCK, taken + self.params.max_steps - loop.time)
+        moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
+        start = _Stretch(loop.learner, loop.state, loop.reward, counter.start(taken, loop.events))
+        if self.lockstep:
+            after = self._step(start, words, moment)
+        else:
+            after = lax.while_loop(
+                lambda s: tally.goes_on(s.tally, limit), lambda s: self._step(s, words, moment), start
+            )
+        now, terminated, events = counter.read(after.tally, loop.events)
+        time = loop.time + now - taken
+        truncated = ~terminated & (time >= self.params.max_steps)
+        loop = loop._replace(
+            learner=after.learner,
+            state=after.state,
+            time=time,
+            reward=after.reward,
+            events=events,
+            truncated=loop.truncated + truncated.astype(jnp.int32),
+            is_over=terminated | truncated,
+        )
+        return loop, now
 
     def _next_episode(self, loop: _Loop) -> _Loop:
         episode = loop.episode + 1
         moment = Moment(episode, jnp.bool_(True), _zero(loop), self.lockstep)
         control, first = self._begin(loop.learner.tables, episode, moment)
-        truncated = (loop.time == _TRUNCATED).astype(jnp.float32)
-        return _Loop(
+        return loop._replace(
             learner=loop.learner._replace(control=control),
             state=first,
             time=jnp.int32(0),
             episode=episode,
-            sums=loop.sums.at[-1].add(truncated),
+            is_over=jnp.bool_(False),
         )
 
-    def _step(self, loop: _Loop, words: tuple[Array, ...], live: Array) -> _Loop:
-        """One primitive step, or none if not `live`."""
-        own = self.env.num_words
-        action = self.learner.action(loop.learner.control)
-        next_state, reward, terminated, *events = self._transition(loop.state, action, words[:own])
-        time = loop.time + 1
-        step = Experience(loop.state, action, reward, next_state, terminated)
-        moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
-        learned = self.learner.learn(self.prepared, loop.learner, step, words[own:], moment)
-        time = lax.select(time >= self.params.max_steps, jnp.int32(_TRUNCATED), time)
-        time = lax.select(terminated, jnp.int32(_TERMINATED), time)
-        counted = jnp.stack([reward, *(event.astype(jnp.float32) for event in events), jnp.float32(0)])
-        return _Loop(learned, next_state, time, loop.episode, loop.sums + counted)
-
-    def _transition(self, state: Any, action: Array, words: tuple[Array, ...]) -> tuple[Any, ...]:
-        """Next state, reward, whether the episode terminated, and the events."""
-        if self.tabular is None:
-            after, reward, terminated, info = self.env.transition(state, action, words, self.params)
-            return after, reward, terminated, *(info[name] for name in self.env.metrics)
-        packed, reward = self.packed_transition(state, action, words)
-        flags = 1 + len(self.env.metrics)
-        terminated, *events = (((packed >> i) & 1) == 1 for i in reversed(range(flags)))
-        return packed >> flags, reward, terminated, *events
-
-    def _packed_transition(self, state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array]:
-        """A tabular environment's step, all but the reward in one int32: what is one result is computed once."""
-        env: TabularEnvironment[Any, Any] = self.tabular  # type: ignore[assignment]
-        after, reward, terminated, info = env.transition(env.decode(state), action, words, self.params)
-        packed = env.encode(after)
-        for flag in (terminated, *(info[name] for name in env.metrics)):
-            packed = (packed << 1) | flag.astype(jnp.int32)
-        return packed, reward
+    def _step(self, now: _Stretch, words: Any, moment: Moment) -> _Stretch:
+        """One primitive step, or none if not ``moment.live``."""
+        position = tally.position(now.tally)
+        action = self.learner.action(now.learner.control)
+        step = self.simulator.step(now.state, action, words, position)
+        seen = Experience(now.state, action, step.reward, step.next_state, step.terminated)
+        own = self.simulator.learner_words(words, position)
+        learned = self.learner.learn(self.prepared, now.learner, seen, own, moment)
+        return _Stretch(learned, step.next_state, now.reward + step.reward, tally.add(now.tally, step.change))
 
     def _begin(self, tables: Any, episode: Array, moment: Moment) -> tuple[Any, Array]:
         """The learner's control and the first state of an episode."""
         own = self.env.num_initial_words
         words = random.words(self.key, episode.astype(jnp.uint32), own + self.learner.num_begin_words, _BEGIN_STREAM)
         first = self.env.initial(words[:own], self.params)
-        if self.tabular is not None:
-            first = self.tabular.encode(first)
+        if isinstance(self.env, TabularEnvironment):
+            first = self.env.encode(first)
         # The last episode is followed by a beginning that no one uses; schedules end with the run.
         moment = moment._replace(episode=jnp.minimum(episode, self.num_episodes - 1))
         return self.learner.begin(self.prepared, tables, first, words[own:], moment), first

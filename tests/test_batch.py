@@ -112,7 +112,7 @@ def test_a_second_sweep_compiles_nothing():
 
     compilations: list[str] = []
     traced: list[int] = []
-    transition = Bus.transition
+    initial = Bus.initial
 
     def listen(event: str, duration: float, **_: Any) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
@@ -120,12 +120,12 @@ def test_a_second_sweep_compiles_nothing():
 
     def counted(self: Bus, *arguments: Any) -> Any:
         traced.append(1)
-        return transition(self, *arguments)
+        return initial(self, *arguments)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Bus, "transition", counted)
+            patch.setattr(Bus, "initial", counted)
             first = sweep()
             assert compilations
             assert traced

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrljax import random
-from hrljax.random import WORD_BITS, WORD_RANGE, WordBlock
+from hrljax.random import WORD_BITS, WORD_RANGE, word_block
 
 KEY = jax.random.key(7)
 POSITIONS = 20_000
@@ -61,7 +61,7 @@ def test_a_word_block_holds_the_words_of_its_positions(num_words: int):
 
     @jax.jit
     def from_block(start: jax.Array) -> jax.Array:
-        block = WordBlock(random.key_words(KEY), start, length, num_words)
+        block = word_block(random.key_words(KEY), start, length, num_words)
         return jnp.stack(jax.vmap(lambda i: jnp.stack(block[i]))(jnp.arange(length, dtype=jnp.int32)))
 
     for start in (0, 1, 12_345, 2**32 - 7):  # the last one wraps, as positions do
@@ -73,7 +73,7 @@ def test_a_word_block_keeps_bits_that_are_no_number():
     """The block passes words through floats; signalling NaNs, infinities and subnormals must survive."""
     length = 20_000
     read = jax.jit(
-        lambda start: jax.vmap(WordBlock(random.key_words(KEY), start, length, 2).__getitem__)(
+        lambda start: jax.vmap(word_block(random.key_words(KEY), start, length, 2).__getitem__)(
             jnp.arange(length, dtype=jnp.int32)
         )
     )

@@ -19,6 +19,7 @@ from jax import Array
 from jax.core import Tracer
 
 from hrljax import random
+from hrljax.envs.outcomes import WordKinds, enumerate_outcomes
 from hrljax.hierarchy import Hierarchy
 from hrljax.solvers.model import Model
 
@@ -210,41 +211,15 @@ class TabularEnvironment(Environment[State, Params]):
     def model(self, params: Params | None = None) -> Model:
         """The exact model, by running `transition` on one word of every kind from every state."""
         numbers = self._numbers(params)
-        representatives, weights = _word_kinds(self.word_cuts(numbers))
-
-        def outcome(state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-            after, reward, terminated, _ = self.transition(self.decode(state), action, words, numbers)
-            return self.encode(after), reward, terminated
-
-        over_words = jax.vmap(outcome, (None, None, 0), axis_size=len(weights))
-        over_actions = jax.vmap(over_words, (None, 0, None))
-        over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
-        with jax.ensure_compile_time_eval():
-            states = jnp.arange(self.num_states, dtype=jnp.int32)
-            actions = jnp.arange(self.num_actions, dtype=jnp.int32)
-            after, reward, terminated = over_states(states, actions, representatives)
-        return Model.merged(np.asarray(after), np.asarray(reward), np.asarray(terminated), weights)
+        kinds = WordKinds.of(self.word_cuts(numbers))
+        found = enumerate_outcomes(self, numbers, kinds)
+        return Model.merged(found.next_state, found.reward, (found.flags & 1) == 1, kinds.weights)
 
     def initial_distribution(self, params: Params | None = None) -> np.ndarray:
         """Probability of each state number at the start of an episode, float64 ``[S]``."""
         numbers = self._numbers(params)
-        representatives, weights = _word_kinds(self.initial_word_cuts(numbers))
+        kinds = WordKinds.of(self.initial_word_cuts(numbers))
         with jax.ensure_compile_time_eval():
-            firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=len(weights))
-            states = firsts(representatives)
-        return np.bincount(np.asarray(states), weights=weights, minlength=self.num_states)
-
-
-def _word_kinds(cuts: tuple[tuple[Any, ...], ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """One word of every kind and the probability of that kind, for all combinations of kinds."""
-    lows, widths = [], []
-    for word_cuts in cuts:
-        edges = [0, *sorted(int(random.threshold(c)) for c in word_cuts), random.WORD_RANGE]
-        kinds = [(a, b - a) for a, b in zip(edges, edges[1:], strict=False) if b > a]
-        lows.append(np.array([low for low, _ in kinds], np.uint32))
-        widths.append(np.array([width for _, width in kinds], np.float64) / random.WORD_RANGE)
-    representatives = tuple(grid.ravel() for grid in np.meshgrid(*lows, indexing="ij"))
-    weights = np.ones(1)
-    for width in widths:
-        weights = np.outer(weights, width).ravel()
-    return representatives, weights
+            firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=len(kinds.weights))
+            states = firsts(kinds.words)
+        return np.bincount(np.asarray(states), weights=kinds.weights, minlength=self.num_states)

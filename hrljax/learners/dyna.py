@@ -13,7 +13,7 @@ from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import StepSizeLearner, row_of
 from hrljax.models import samples as model
 from hrljax.numerics import put_row, take
-from hrljax.random import WordBlock
+from hrljax.random import word_block
 
 
 class DynaTables(NamedTuple):
@@ -98,7 +98,7 @@ class DynaQ(StepSizeLearner):
     def _replayed(self, tables: DynaTables, key: tuple[Array, ...], prepared: int, moment: Moment) -> DynaTables:
         num_pairs, words_of = len(tables.visited), 1 if self.outcomes_kept == 1 else 2
         num_states = num_pairs // prepared
-        drawn = WordBlock((key[0], key[1]), jnp.uint32(0), _whole_registers(self.planning_steps), words_of)
+        drawn = word_block((key[0], key[1]), jnp.uint32(0), _whole_registers(self.planning_steps), words_of)
 
         def replay(i: Array, values: Array) -> Array:
             words = drawn[i]

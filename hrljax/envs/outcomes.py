@@ -1,0 +1,137 @@
+"""Everything that may come of an action, by running an environment on one random word of every kind."""
+
+from collections.abc import Hashable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+
+from hrljax import random
+from hrljax.numerics import stage, take
+
+_MOST_CUTS = 64
+_MOST_ENTRIES = 1 << 20
+
+
+class WordKinds(NamedTuple):
+    """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
+
+    firsts: tuple[np.ndarray, ...]  # for each word, the least words of its kinds: [kinds] uint32, from 0
+    words: tuple[np.ndarray, ...]  # for each word, one of the kind that a combination has: [N] uint32
+    weights: np.ndarray  # [N] float64: probability of a combination
+
+    @classmethod
+    def of(cls, cuts: tuple[tuple[Any, ...], ...]) -> "WordKinds":
+        """The kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
+        firsts, weights = [], np.ones(1)
+        for word_cuts in cuts:
+            edges = np.unique([0, *(int(random.threshold(cut)) for cut in word_cuts), random.WORD_RANGE])
+            firsts.append(edges[:-1].astype(np.uint32))
+            weights = np.outer(weights, np.diff(edges) / random.WORD_RANGE).ravel()
+        words = tuple(grid.ravel() for grid in np.meshgrid(*firsts, indexing="ij"))
+        return cls(tuple(firsts), words, weights)
+
+    def number(self, words: tuple[Array, ...]) -> Array:
+        """The number of the combination of kinds that the words have, int32 of their shape."""
+        number = jnp.zeros_like(words[0], jnp.int32)
+        for word, firsts in zip(words, self.firsts, strict=True):
+            number = number * np.int32(len(firsts))
+            for first in firsts[1:]:
+                number += (word >= first).astype(jnp.int32)
+        return number
+
+
+class Outcomes(NamedTuple):
+    """What every action leads to in every state, for each of N kinds of random words."""
+
+    next_state: np.ndarray  # [S, A, N] int32
+    reward: np.ndarray  # [S, A, N] float32
+    flags: np.ndarray  # [S, A, N] int32: bit 0, the episode terminates; bit i, event i - 1 happens
+
+
+def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
+    """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`."""
+
+    def outcome(state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        after, reward, terminated, info = env.transition(env.decode(state), action, words, params)
+        return env.encode(after), reward, packed_flags(terminated, [info[name] for name in env.metrics])
+
+    over_words = jax.vmap(outcome, (None, None, 0), axis_size=len(kinds.weights))
+    over_actions = jax.vmap(over_words, (None, 0, None))
+    over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
+    with jax.ensure_compile_time_eval():
+        states = jnp.arange(env.num_states, dtype=jnp.int32)
+        actions = jnp.arange(env.num_actions, dtype=jnp.int32)
+        return Outcomes(*(np.asarray(part) for part in over_states(states, actions, kinds.words)))
+
+
+def packed_flags(terminated: Array, events: list[Array]) -> Array:
+    """Bit 0: the episode terminated; bit i: event i - 1 happened (int32)."""
+    flags = terminated.astype(jnp.int32)
+    for i, event in enumerate(events, start=1):
+        flags |= event.astype(jnp.int32) << i
+    return flags
+
+
+class OutcomeTable:
+    """The steps of a tabular environment, looked up instead of computed: the same results, bit for bit.
+
+    An entry is one number that holds the next state, which of the rewards it is, and the flags.
+    Entries of one kind of random words lie together, because few kinds make up most steps.
+    """
+
+    def __init__(self, kinds: WordKinds, outcomes: Outcomes, num_events: int):
+        self._kinds = kinds
+        self._num_actions = outcomes.reward.shape[1]
+        self._num_pairs = outcomes.reward[..., 0].size
+        bits, which = np.unique(outcomes.reward.view(np.uint32), return_inverse=True)
+        self._rewards = bits.view(np.float32)
+        self._flag_bits, self._reward_bits = 1 + num_events, (len(bits) - 1).bit_length()
+        packed = outcomes.next_state.astype(np.int64) << self._reward_bits | which.reshape(outcomes.reward.shape)
+        packed = packed << self._flag_bits | outcomes.flags
+        self.fits = packed.max() < 1 << 31
+        smallest = np.uint16 if packed.max() < 1 << 16 else np.int32
+        self._packed = np.moveaxis(packed, -1, 0).astype(smallest).ravel()
+        self._entry = stage(lambda index: take(jnp.asarray(self._packed), index).astype(jnp.int32))
+
+    def place(self, words: tuple[Array, ...]) -> Array:
+        """Where the entries begin that hold for an environment's words (int32 of their shape)."""
+        return self._kinds.number(words) * np.int32(self._num_pairs)
+
+    def look_up(self, place: Array, state: Array, action: Array) -> tuple[Array, Array, Array]:
+        """Next state (int32), reward (float32), and flags as in `Outcomes`, of scalars."""
+        entry = self._entry(place + state * np.int32(self._num_actions) + action)
+        flags, rest = entry & ((1 << self._flag_bits) - 1), entry >> self._flag_bits
+        reward = take(jnp.asarray(self._rewards), rest & ((1 << self._reward_bits) - 1))
+        return rest >> self._reward_bits, reward, flags
+
+
+def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
+    """The steps of a tabular environment as a table; None if it would be large or its numbers are traced.
+
+    Made once in a process for an environment and its numbers.
+    """
+    numbers = params._replace(max_steps=0)
+    if any(isinstance(number, Tracer) for number in numbers):
+        return None
+    if isinstance(env, Hashable):
+        return _cached_table(env, numbers)
+    return _table(env, numbers)
+
+
+def _table(env: Any, params: Any) -> OutcomeTable | None:
+    cuts = env.word_cuts(params)
+    if sum(map(len, cuts)) > _MOST_CUTS:
+        return None
+    kinds = WordKinds.of(cuts)
+    if env.num_states * env.num_actions * len(kinds.weights) > _MOST_ENTRIES:
+        return None
+    table = OutcomeTable(kinds, enumerate_outcomes(env, params, kinds), len(env.metrics))
+    return table if table.fits else None
+
+
+_cached_table = lru_cache(maxsize=32)(_table)

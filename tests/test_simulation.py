@@ -1,0 +1,123 @@
+"""Steps that are looked up equal the environment's own, bit for bit."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hrljax
+from hrljax import random
+from hrljax.envs import outcomes
+from hrljax.envs.base import concrete_params
+from hrljax.envs.bus import Bus
+from hrljax.envs.outcomes import WordKinds, outcome_table
+from hrljax.random import WORD_RANGE
+from hrljax.simulation import Simulator, simulator
+from hrljax.tally import BLOCK
+from hrljax.train import train
+from tests.maps import SMALL
+
+ENVIRONMENTS: dict[str, Any] = {
+    "Bus": SMALL,
+    "Bus-all-at-once": Bus(SMALL.map, site="cell", slip="other", road_change="any", breakdown="after"),
+    "Gridworld": hrljax.make("Gridworld", map="cliff"),
+    "Maze": hrljax.make("Maze"),
+    "Taxi": hrljax.make("Taxi", stochastic=True, fickle=True, rules="gymnasium"),
+    "Taxi-dry": hrljax.make("Taxi"),
+}
+
+
+@pytest.fixture
+def no_tables(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Makes every table too large from now on."""
+
+    def refuse() -> None:
+        monkeypatch.setattr(outcomes, "_MOST_ENTRIES", 0)
+        monkeypatch.setattr(outcomes, "_cached_table", outcomes._table)
+
+    return refuse
+
+
+def steps(of: Simulator[Any], states: jax.Array, actions: jax.Array) -> Any:
+    """What every position of one block leads to, from its state by its action, and the learner's words."""
+
+    @jax.jit
+    def run() -> Any:
+        block = of.block(random.key_words(jax.random.key(3)), jnp.uint32(5))
+        positions = jnp.arange(BLOCK, dtype=jnp.int32)
+        step = jax.vmap(lambda s, a, i: (of.step(s, a, block, i), of.learner_words(block, i)))
+        return step(states, actions, positions)
+
+    return run()
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_a_step_that_is_looked_up_is_the_step_that_is_computed(name: str, no_tables: Callable[[], None]):
+    env = ENVIRONMENTS[name]
+    numbers = {f: 0.4 for f in env.default_params._fields if f.endswith("_probability")}
+    params = concrete_params(env.default_params._replace(**numbers))
+    looked_up = simulator(env, params, 3)
+    no_tables()
+    computed = simulator(env, params, 3)
+    assert type(looked_up) is not type(computed)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        states = jnp.asarray(rng.integers(env.num_states, size=BLOCK), jnp.int32)
+        actions = jnp.asarray(rng.integers(env.num_actions, size=BLOCK), jnp.int32)
+        found, expected = (jax.tree.leaves(steps(of, states, actions)) for of in (looked_up, computed))
+        for one, other in zip(found, expected, strict=True):
+            assert one.dtype == other.dtype
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("mapping", ["native", "vmap"])
+def test_runs_do_not_depend_on_how_their_steps_are_found(mapping: Any, no_tables: Callable[[], None]):
+    """A swept number of the environment is traced, so that its steps are computed."""
+    options: Any = {"seeds": 3, "num_episodes": 30, "bin_size": 7, "mapping": mapping, "progress": False}
+    learner = hrljax.QLearning(initial_value=-20.0)
+    looked_up = hrljax.sweep(SMALL, learner, **options)
+    axes = {"env.slip_probability": [SMALL.default_params.slip_probability]}
+    computed = hrljax.sweep(SMALL, learner, axes=axes, **options).isel({"env.slip_probability": 0})
+    for name in looked_up.data_vars:
+        np.testing.assert_array_equal(looked_up[name], computed[name], err_msg=str(name))
+
+
+def test_there_is_no_table_for_traced_numbers_many_outcomes_or_many_entries(monkeypatch: pytest.MonkeyPatch):
+    params = concrete_params(SMALL.default_params)
+    table = outcome_table(SMALL, params)
+    assert table is not None
+    assert outcome_table(Bus(SMALL.map), params._replace(max_steps=7)) is table  # made once, for any limit of steps
+
+    @jax.jit
+    def traced(probability: jax.Array) -> jax.Array:
+        assert outcome_table(SMALL, params._replace(slip_probability=probability)) is None
+        return probability
+
+    traced(jnp.float32(0.2))
+    for limit in ("_MOST_CUTS", "_MOST_ENTRIES"):
+        with monkeypatch.context() as patch:
+            patch.setattr(outcomes, limit, 3)
+            assert outcomes._table(SMALL, params) is None
+
+
+def test_a_table_is_made_for_an_environment_that_has_no_hash():
+    class Unhashable(Bus):
+        __hash__ = None  # type: ignore[assignment]
+
+    run = train(Unhashable(SMALL.map), hrljax.QLearning(), jax.random.key(0), 3)
+    expected = train(SMALL, hrljax.QLearning(), jax.random.key(0), 3)
+    np.testing.assert_array_equal(run.learned, expected.learned)
+
+
+def test_kinds_of_words_are_numbered_by_their_words():
+    kinds = WordKinds.of(((0.25, 0.5, 0.25), (), (1.0, 0.0, 0.1)))
+    assert [len(firsts) for firsts in kinds.firsts] == [3, 1, 2]
+    number = kinds.number(tuple(jnp.asarray(words) for words in kinds.words))
+    np.testing.assert_array_equal(number, np.arange(6))
+    np.testing.assert_allclose(kinds.weights, np.outer([0.25, 0.25, 0.5], [0.1, 0.9]).ravel(), rtol=1e-6)
+    last = tuple(jnp.uint32(WORD_RANGE - 1) for _ in range(3))
+    assert kinds.number(last) == 5
+    assert kinds.number((jnp.uint32(WORD_RANGE // 4 - 1), last[1], last[2])) == 1
