@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -32,9 +33,15 @@ def attributes(env: Any, learner: Learner, params: Any, key: Array, swept: Mappi
         "learner": learner.name,
         **found,
         **{ENV_PREFIX + name: str(value) for name, value in options(env).items()},
-        **{f"version.{package}": version(package) for package in _PACKAGES},
+        **_versions(),
         "key": json.dumps(np.asarray(jax.random.key_data(key)).tolist()),
     }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """The packages' versions as attributes; to look them up takes milliseconds."""
+    return {f"version.{package}": version(package) for package in _PACKAGES}
 
 
 def options(env: Any) -> dict[str, Any]:

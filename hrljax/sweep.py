@@ -150,6 +150,12 @@ def sweep(
     return dataset(labels, results.values, results.finished, attributes)
 
 
+@jax.jit
+def _seed_words(key: Array, seeds: Array) -> Array:
+    """``[seeds, 2]`` uint32: the words of the key of each seed."""
+    return jax.random.key_data(jax.vmap(partial(jax.random.fold_in, key))(seeds))
+
+
 class Checked(NamedTuple):
     """A sweep whose arguments are fine."""
 
@@ -174,7 +180,7 @@ class Checked(NamedTuple):
     def rows(self) -> dict[str, Any]:
         """What tells the runs apart; see `hrljax.work.Job`."""
         labels = self.labels
-        words = jax.random.key_data(jax.vmap(partial(jax.random.fold_in, self.key))(jnp.arange(labels.seeds)))
+        words = _seed_words(self.key, jnp.arange(labels.seeds))
         grid = np.array(list(itertools.product(*labels.columns.values())), np.float32)
         return {
             "key": np.tile(np.asarray(words), (len(grid), 1)),

@@ -7,9 +7,10 @@ from jax import Array
 
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Moment, at_episode
+from hrljax.learners.child_values import Values
 from hrljax.learners.flags import choose
 from hrljax.learners.task_graph import TaskGraph
-from hrljax.learners.task_stack import Control, Ended, StackLearner, Values, readable
+from hrljax.learners.task_stack import Control, Ended, StackLearner, readable
 from hrljax.numerics import put_row, take_row
 
 

@@ -14,9 +14,10 @@ from jax import Array, lax
 
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Moment, at_episode, hyperparameter
+from hrljax.learners.child_values import Values
 from hrljax.learners.flags import both
 from hrljax.learners.task_graph import TaskGraph
-from hrljax.learners.task_stack import Control, Ended, StackLearner, Values, readable
+from hrljax.learners.task_stack import Control, Ended, StackLearner, readable
 from hrljax.numerics import put_row, stage, take_row
 
 _PARTS = len(td.Parts._fields)

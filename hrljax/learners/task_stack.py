@@ -12,22 +12,18 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from hrljax.envs.base import TabularEnvironment
 from hrljax.evaluate import HierarchicalPolicy
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners import td
-from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
+from hrljax.learners.base import Experience, Hyperparameter, LearnerState, Moment, at_episode, hyperparameter
+from hrljax.learners.child_values import ChildValues, Values
 from hrljax.learners.flags import Flag, both, choose, either, opposite
-from hrljax.learners.roots import ChildValue, Decision, Root
+from hrljax.learners.roots import Decision, Root
 from hrljax.learners.task_graph import Kind, TaskGraph, task_graph
-from hrljax.numerics import take_row
 from hrljax.random import threshold
-
-Values = Any
-"""The values of one child: a tuple of float32 scalars."""
 
 
 class Pending(NamedTuple):
@@ -84,7 +80,7 @@ def readable(task: Array, used: Flag) -> Array:
 
 
 @dataclass(frozen=True)
-class StackLearner(Learner):
+class StackLearner(ChildValues):
     """Executes a hierarchy; subclasses say what is learned.
 
     Attributes: see `hrljax.HORDQ`.
@@ -126,18 +122,6 @@ class StackLearner(Learner):
         return 0 if self.root is None else self.root.planning_interval
 
     # What a subclass says.
-
-    @abstractmethod
-    def _worth(self, values: Values) -> Array:
-        """What behaviour and bootstraps are greedy in (float32 scalar)."""
-
-    @abstractmethod
-    def _until_end(self, values: Values) -> Array:
-        """The part of a value that a subtask's parent sees: until the subtask ends."""
-
-    @abstractmethod
-    def _initial(self, is_root: bool) -> tuple[Any, ...]:
-        """Initial values of a child, of the root or of another subtask; the first is of what it earns itself."""
 
     @abstractmethod
     def _learned(
@@ -292,7 +276,7 @@ class StackLearner(Learner):
 
         def of_kind(kind: Kind) -> Values:
             best, row, _ = self._best(graph, parts, kind, task, state)
-            return tuple(td.pick(list(value), best) for value in zip(*row, strict=True))
+            return self._values_of(graph, parts, kind, task, state, row, best)
 
         return graph.by_kind(graph.all_levels, task, of_kind)
 
@@ -350,34 +334,6 @@ class StackLearner(Learner):
                 fresh = decides
         return Control(action, tuple(tasks), tuple(pendings), ()), follows
 
-    def _row(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> list[Values]:
-        """The values of a subtask's children in a state, slot by slot.
-
-        What a child that is a subtask earns is not stored, but read from its own values (thesis eq. 3.3).
-        """
-        size = len(self._initial(is_root=False))
-        start = (task * graph.num_states + state) * (graph.num_slots * size)
-        row = take_row(parts, start, kind.num_slots * size)
-        values = [tuple(row[slot * size + i] for i in range(size)) for slot in range(kind.num_slots)]
-        for slot, child in enumerate(kind.tasks):
-            if child >= 0:
-                own = self._value(graph, parts, graph.kind(child), jnp.int32(child), state)
-                values[slot] = (own, *values[slot][1:])
-        return values
-
-    def _best(
-        self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array
-    ) -> tuple[Array, list[Values], list[Array | None]]:
-        """The greedy slot of a subtask, the values of its children, and which of them can be invoked."""
-        row = self._row(graph, parts, kind, task, state)
-        allowed = graph.allowed(kind, state)
-        never = jnp.float32(-np.inf)
-        worth = [
-            self._worth(values) if can is None else lax.select(can, self._worth(values), never)
-            for values, can in zip(row, allowed, strict=True)
-        ]
-        return td.greedy(worth)[0], row, allowed
-
     def _decide(
         self, graph: TaskGraph, parts: Array, level: int, task: Array, state: Array, word: Array, moment: Moment
     ) -> Choice:
@@ -390,15 +346,10 @@ class StackLearner(Learner):
             else:
                 can = [jnp.bool_(True) if a is None else a for a in allowed]
                 slot = lax.select(word < threshold(epsilon), td.nth_allowed(can, word), best)
-            values = tuple(td.pick(list(value), slot) for value in zip(*row, strict=True))
+            values = self._values_of(graph, parts, kind, task, state, row, slot)
             return Choice(*graph.child_of(kind, slot), slot, values)
 
         return graph.by_kind([level], task, of_kind)
-
-    def _value(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> Array:
-        """Value of a subtask until it ends, at what it would do itself (thesis eq. 3.3)."""
-        best, row, _ = self._best(graph, parts, kind, task, state)
-        return td.pick([self._until_end(values) for values in row], best)
 
     # What a root with a policy of its own does.
 
@@ -456,9 +407,3 @@ class StackLearner(Learner):
         child_value = self._child_value(prepared.graph, tables.parts)
         epsilon = at_episode(self.epsilon, moment.episode)
         return self.root.choose(prepared.root, tables.root, child_value, state, word, epsilon, moment.zero)
-
-    def _child_value(self, graph: TaskGraph, parts: Array) -> ChildValue:
-        def value(task: Array, state: Array) -> Array:
-            return graph.by_kind([0], task, lambda kind: self._value(graph, parts, kind, task, state))
-
-        return value
