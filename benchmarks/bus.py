@@ -25,6 +25,8 @@ import tyro
 
 import hrljax as hrl
 from hrljax import batch
+from hrljax.envs.base import concrete_params
+from hrljax.envs.outcomes import outcome_table
 from hrljax.learners.task_tables import planning_points, tabulate
 
 try:
@@ -82,8 +84,11 @@ def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds:
     return Contestant(case, name, cores, run, run.seconds)
 
 
-def by_numba(case: str, cores: int, episodes: int) -> Contestant:
-    """The hand-written loop: one thread a core (numba releases the interpreter lock)."""
+def by_numba(case: str, cores: int, episodes: int, looked_up: bool = False) -> Contestant:
+    """The hand-written loop: one thread a core (numba releases the interpreter lock).
+
+    `looked_up` lets it find its steps in the table of outcomes that hrljax makes (Q-learning only).
+    """
     tasks, points = tabulate(HIERARCHY, ENV), planning_points(HIERARCHY, ENV)
     moves, start = ENV._moves, ENV.layout.start
     root = LEARNERS[case].root if case != "Q-learning" else ROOT
@@ -94,11 +99,14 @@ def by_numba(case: str, cores: int, episodes: int) -> Contestant:
         (tasks.active_bits >> 1).astype(np.int32), tasks.goal[1:], tasks.root_children, tasks.root_counts,
         points.point, points.planning, points.tasks, points.can_invoke, points.outcomes.reshape(shape),
     )  # fmt: skip
-    flat, hierarchical = (numba_bus.numba.njit(nogil=True)(f.py_func) for f in (numba_bus.q_learning, numba_bus.hordq))
+    q_learning = numba_bus.q_learning_looked_up if looked_up else numba_bus.q_learning
+    flat, hierarchical = (numba_bus.numba.njit(nogil=True)(f.py_func) for f in (q_learning, numba_bus.hordq))
+    table: Any = outcome_table(ENV, concrete_params(ENV.default_params))
+    steps = (table.entries, table.rewards) if looked_up else moves
 
     def one(seed: int, count: int = episodes) -> int:
         if case == "Q-learning":
-            return flat(seed, count, 200, np.float32(-25), moves, start)[1]
+            return flat(seed, count, 200, np.float32(-25), steps, start)[1]
         return hierarchical(seed, count, 200, *arguments)[1]
 
     def run() -> int:
@@ -107,7 +115,8 @@ def by_numba(case: str, cores: int, episodes: int) -> Contestant:
 
     began = time.perf_counter()
     one(1, 200)
-    return Contestant(case, "numba loop", cores, run, time.perf_counter() - began)
+    name = "numba loop, outcomes looked up" if looked_up else "numba loop"
+    return Contestant(case, name, cores, run, time.perf_counter() - began)
 
 
 def plain_vmap(cores: int, episodes: int, seeds: int = 256) -> Contestant:
@@ -201,6 +210,7 @@ def main(options: Options) -> None:
     for cores in sorted({1, options.cores}):
         for case in LEARNERS:
             contestants += [native(case, cores, options.episodes), by_numba(case, cores, options.episodes)]
+        contestants.append(by_numba("Q-learning", cores, options.episodes, looked_up=True))
     if options.peers:
         contestants.append(native("Q-learning", 1, options.episodes // 10, "vmap", seeds=64))
         contestants += [plain_vmap(options.cores, options.episodes), by_simple_rl(options.episodes)]

@@ -53,43 +53,69 @@ def _step(moves, start, state, action, x, y):
     return after, np.float32(-1), picked == 7 and cell == start, hit, 0
 
 
-@numba.njit
-def q_learning(seed, episodes, bins, initial, moves, start):
-    """Q-learning: sums of return, steps, damage and breakdowns by bin; steps."""
-    q = np.full((STATES, 4), initial, np.float32)
-    out = np.zeros((bins, 4), np.float64)
-    x = np.uint64(seed * 2654435761 + 88172645463325252)
-    steps = 0
-    for episode in range(episodes):
-        x = _next(x)
-        s = _initial(start, x)
-        row = out[episode * bins // episodes]
-        for _ in range(MAX_STEPS):
+@numba.njit(inline="always")
+def _look_up(tables, start, state, action, x, y):
+    """As `_step`, from the table of outcomes that hrljax makes (`hrljax.envs.outcomes`)."""
+    entries, rewards = tables
+    slip, mishap, road = x >> np.uint64(40), y & np.uint64(0xFFFFFF), y >> np.uint64(40)
+    kind = np.int32(slip >= _word(0.025)) + np.int32(slip >= _word(0.05)) + np.int32(slip >= _word(0.075))
+    kind = kind * 2 + np.int32(mishap >= _word(0.25))
+    kind = kind * 3 + np.int32(road >= _word(0.025)) + np.int32(road >= _word(0.05))
+    entry = np.int32(entries[kind * STATES * 4 + state * 4 + action])
+    flags, rest = entry & 7, entry >> 3
+    return rest >> 1, rewards[rest & 1], flags & 1 == 1, (flags >> 1) & 1, flags >> 2
+
+
+@numba.njit(inline="always")
+def _word(probability):
+    return np.uint64(probability * 16777216.0)
+
+
+def q_learning_by(step):
+    """Q-learning with one of the two ways to make a step."""
+
+    def q_learning(seed, episodes, bins, initial, tables, start):
+        """Q-learning: sums of return, steps, damage and breakdowns by bin; steps."""
+        q = np.full((STATES, 4), initial, np.float32)
+        out = np.zeros((bins, 4), np.float64)
+        x = np.uint64(seed * 2654435761 + 88172645463325252)
+        steps = 0
+        for episode in range(episodes):
             x = _next(x)
-            y = _next(x)
-            a = 0
-            if _below(x, EPSILON):
-                a = np.int32((x >> np.uint64(24)) & np.uint64(3))
-            else:
-                best = q[s, 0]
-                for b in range(1, 4):
-                    if q[s, b] > best:
-                        best, a = q[s, b], b
-            s2, r, end, hit, broke = _step(moves, start, s, a, x, y)
-            x = y
-            target = r
-            if not end:
-                target += max(max(q[s2, 0], q[s2, 1]), max(q[s2, 2], q[s2, 3]))
-            q[s, a] += ALPHA * (target - q[s, a])
-            row[0] += r
-            row[1] += 1
-            row[2] += hit
-            row[3] += broke
-            s = s2
-            steps += 1
-            if end:
-                break
-    return out, steps
+            s = _initial(start, x)
+            row = out[episode * bins // episodes]
+            for _ in range(MAX_STEPS):
+                x = _next(x)
+                y = _next(x)
+                a = 0
+                if _below(x, EPSILON):
+                    a = np.int32((x >> np.uint64(24)) & np.uint64(3))
+                else:
+                    best = q[s, 0]
+                    for b in range(1, 4):
+                        if q[s, b] > best:
+                            best, a = q[s, b], b
+                s2, r, end, hit, broke = step(tables, start, s, a, x, y)
+                x = y
+                target = r
+                if not end:
+                    target += max(max(q[s2, 0], q[s2, 1]), max(q[s2, 2], q[s2, 3]))
+                q[s, a] += ALPHA * (target - q[s, a])
+                row[0] += r
+                row[1] += 1
+                row[2] += hit
+                row[3] += broke
+                s = s2
+                steps += 1
+                if end:
+                    break
+        return out, steps
+
+    return numba.njit(q_learning)
+
+
+q_learning = q_learning_by(_step)
+q_learning_looked_up = q_learning_by(_look_up)
 
 
 @numba.njit(inline="always")

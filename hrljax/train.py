@@ -254,15 +254,13 @@ class _Trainer:
 
         `taken` counts those of the block.
         """
-        counter, limit = self.simulator.counter, jnp.minimum(BLOCK, taken + self.params.max_steps - loop.time)
+        counter, left = self.simulator.counter, jnp.minimum(BLOCK - taken, self.params.max_steps - loop.time)
         moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
-        start = _Stretch(loop.learner, loop.state, loop.reward, counter.start(taken, loop.events))
+        start = _Stretch(loop.learner, loop.state, loop.reward, counter.start(taken, left, loop.events))
         if self.lockstep:
             after = self._step(start, words, moment)
         else:
-            after = lax.while_loop(
-                lambda s: tally.goes_on(s.tally, limit), lambda s: self._step(s, words, moment), start
-            )
+            after = lax.while_loop(lambda s: tally.goes_on(s.tally), lambda s: self._step(s, words, moment), start)
         now, terminated, events = counter.read(after.tally, loop.events)
         time = loop.time + now - taken
         truncated = ~terminated & (time >= self.params.max_steps)

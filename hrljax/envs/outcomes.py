@@ -82,6 +82,10 @@ class OutcomeTable:
 
     An entry is one number that holds the next state, which of the rewards it is, and the flags.
     Entries of one kind of random words lie together, because few kinds make up most steps.
+
+    Attributes:
+        entries: ``[N * S * A]`` and more, uint16 or int32.
+        rewards: all different rewards, float32.
     """
 
     def __init__(self, kinds: WordKinds, outcomes: Outcomes, num_events: int):
@@ -89,24 +93,29 @@ class OutcomeTable:
         self._num_actions = outcomes.reward.shape[1]
         self._num_pairs = outcomes.reward[..., 0].size
         bits, which = np.unique(outcomes.reward.view(np.uint32), return_inverse=True)
-        self._rewards = bits.view(np.float32)
+        self.rewards = bits.view(np.float32)
         self._flag_bits, self._reward_bits = 1 + num_events, (len(bits) - 1).bit_length()
         packed = outcomes.next_state.astype(np.int64) << self._reward_bits | which.reshape(outcomes.reward.shape)
         packed = packed << self._flag_bits | outcomes.flags
         self.fits = packed.max() < 1 << 31
         smallest = np.uint16 if packed.max() < 1 << 16 else np.int32
-        self._packed = np.moveaxis(packed, -1, 0).astype(smallest).ravel()
-        self._entry = stage(lambda index: take(jnp.asarray(self._packed), index).astype(jnp.int32))
+        entries = np.moveaxis(packed, -1, 0).astype(smallest).ravel()
+        # Of a table as long as a power of two, a mask keeps every index inside; a clamp takes longer.
+        self.entries = np.pad(entries, (0, (1 << (len(entries) - 1).bit_length()) - len(entries)))
+        self._entry = stage(self._read)
 
     def place(self, words: tuple[Array, ...]) -> Array:
         """Where the entries begin that hold for an environment's words (int32 of their shape)."""
         return self._kinds.number(words) * np.int32(self._num_pairs)
 
+    def _read(self, index: Array) -> Array:
+        return take(jnp.asarray(self.entries), index & np.int32(len(self.entries) - 1)).astype(jnp.int32)
+
     def look_up(self, place: Array, state: Array, action: Array) -> tuple[Array, Array, Array]:
         """Next state (int32), reward (float32), and flags as in `Outcomes`, of scalars."""
         entry = self._entry(place + state * np.int32(self._num_actions) + action)
         flags, rest = entry & ((1 << self._flag_bits) - 1), entry >> self._flag_bits
-        reward = take(jnp.asarray(self._rewards), rest & ((1 << self._reward_bits) - 1))
+        reward = take(jnp.asarray(self.rewards), rest & ((1 << self._reward_bits) - 1))
         return rest >> self._reward_bits, reward, flags
 
 

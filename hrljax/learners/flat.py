@@ -10,7 +10,7 @@ from hrljax.envs.base import TabularEnvironment
 from hrljax.evaluate import HierarchicalPolicy, flat_policy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
-from hrljax.numerics import put_row, take_row
+from hrljax.numerics import put_row, take, take_row
 
 
 class ActionValueLearner(Learner):
@@ -91,7 +91,7 @@ class _OneStep(StepSizeLearner):
         row = row_of(state.tables, step.next_state, prepared)
         if self._on_policy:
             action = self.choose(row, words[0], moment)
-            bootstrap = td.pick(row, action)
+            bootstrap = take(state.tables, step.next_state * prepared + action)
         else:
             action, bootstrap = td.greedy(row)
         target = self.target(step.reward, bootstrap, step.terminated, moment)
