@@ -196,7 +196,7 @@ class _Trainer:
             whole = len(sizes) // evaluate_every * evaluate_every
             carry, (sums, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
             (loop, steps), rest = lax.scan(run_bin, carry, numbers[whole:])
-            sums = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *b.shape[1:]), b]), sums, rest)
+            sums = jax.tree.map(lambda a, b: jnp.concatenate([lax.collapse(a, 0, 2), b]), sums, rest)
         # Opaque, because XLA would multiply by the rounded reciprocal of a constant.
         episodes = (jnp.asarray(sizes, jnp.int32) + _zero(loop).astype(jnp.int32)).astype(jnp.float32)
         (reward, events, truncated), length = sums

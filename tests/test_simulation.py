@@ -112,12 +112,26 @@ def test_a_table_is_made_for_an_environment_that_has_no_hash():
     np.testing.assert_array_equal(run.learned, expected.learned)
 
 
+def test_words_that_differ_within_their_kind_are_an_error():
+    """Else a run, which looks its steps up, would silently leave out what the kind's least words do not show."""
+
+    class Forgetful(Bus):
+        def word_cuts(self, params: Any) -> tuple[tuple[float, ...], ...]:
+            slip, mishap, road = super().word_cuts(params)
+            return slip[:-1], mishap, road
+
+    env, message = Forgetful(SMALL.map), r"Bus: word_cuts lacks .* from state \d+, action 'north' .* words \[\d+, "
+    with pytest.raises(ValueError, match=message):
+        env.model()
+    with pytest.raises(ValueError, match=message):
+        train(env, hrljax.QLearning(), jax.random.key(0), 3)
+
+
 def test_kinds_of_words_are_numbered_by_their_words():
-    kinds = WordKinds.of(((0.25, 0.5, 0.25), (), (1.0, 0.0, 0.1)))
-    assert [len(firsts) for firsts in kinds.firsts] == [3, 1, 2]
-    number = kinds.number(tuple(jnp.asarray(words) for words in kinds.words))
-    np.testing.assert_array_equal(number, np.arange(6))
-    np.testing.assert_allclose(kinds.weights, np.outer([0.25, 0.25, 0.5], [0.1, 0.9]).ravel(), rtol=1e-6)
-    last = tuple(jnp.uint32(WORD_RANGE - 1) for _ in range(3))
-    assert kinds.number(last) == 5
-    assert kinds.number((jnp.uint32(WORD_RANGE // 4 - 1), last[1], last[2])) == 1
+    kinds = WordKinds(((0.25, 0.5, 0.25), (), (1.0, 0.0, 0.1)))
+    assert kinds.count == 6
+    for words in (kinds.first_words(), kinds.last_words()):
+        np.testing.assert_array_equal(kinds.number(tuple(map(jnp.asarray, words))), np.arange(6))
+    np.testing.assert_allclose(kinds.weights(), np.outer([0.25, 0.25, 0.5], [0.1, 0.9]).ravel(), rtol=1e-6)
+    assert [int(words[0]) for words in kinds.first_words()] == [0, 0, 0]
+    assert [int(words[-1]) for words in kinds.last_words()] == [WORD_RANGE - 1] * 3

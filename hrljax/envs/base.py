@@ -189,7 +189,8 @@ class TabularEnvironment(Environment[State, Params]):
 
         With cuts c1, c2, ... in (0, 1), two words on the same side of every cut (as fractions of
         their range) must give the same outcome in every state. Cuts of 0 or 1 and repeated cuts
-        are allowed.
+        are allowed. The exact model rests on it, and so does training: with few kinds of words its
+        steps are looked up. Both check the ends of every kind.
         """
 
     @abstractmethod
@@ -209,17 +210,21 @@ class TabularEnvironment(Environment[State, Params]):
         return gymnasium.spaces.Discrete(self.num_states)
 
     def model(self, params: Params | None = None) -> Model:
-        """The exact model, by running `transition` on one word of every kind from every state."""
+        """The exact model, by running `transition` on one word of every kind from every state.
+
+        Raises:
+            ValueError: `word_cuts` lacks a cut.
+        """
         numbers = self._numbers(params)
-        kinds = WordKinds.of(self.word_cuts(numbers))
+        kinds = WordKinds(self.word_cuts(numbers))
         found = enumerate_outcomes(self, numbers, kinds)
-        return Model.merged(found.next_state, found.reward, (found.flags & 1) == 1, kinds.weights)
+        return Model.merged(found.next_state, found.reward, (found.flags & 1) == 1, kinds.weights())
 
     def initial_distribution(self, params: Params | None = None) -> np.ndarray:
         """Probability of each state number at the start of an episode, float64 ``[S]``."""
         numbers = self._numbers(params)
-        kinds = WordKinds.of(self.initial_word_cuts(numbers))
+        kinds = WordKinds(self.initial_word_cuts(numbers))
         with jax.ensure_compile_time_eval():
-            firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=len(kinds.weights))
-            states = firsts(kinds.words)
-        return np.bincount(np.asarray(states), weights=kinds.weights, minlength=self.num_states)
+            firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=kinds.count)
+            states = firsts(kinds.first_words())
+        return np.bincount(np.asarray(states), weights=kinds.weights(), minlength=self.num_states)

@@ -1,5 +1,6 @@
 """Everything that may come of an action, by running an environment on one random word of every kind."""
 
+import math
 from collections.abc import Hashable
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -17,32 +18,47 @@ _MOST_CUTS = 64
 _MOST_ENTRIES = 1 << 20
 
 
-class WordKinds(NamedTuple):
+class WordKinds:
     """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
 
-    firsts: tuple[np.ndarray, ...]  # for each word, the least words of its kinds: [kinds] uint32, from 0
-    words: tuple[np.ndarray, ...]  # for each word, one of the kind that a combination has: [N] uint32
-    weights: np.ndarray  # [N] float64: probability of a combination
+    def __init__(self, cuts: tuple[tuple[Any, ...], ...]):
+        """Kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
+        thresholds = ([int(random.threshold(cut)) for cut in word_cuts] for word_cuts in cuts)
+        # Where each word's kinds begin, and where the last one ends.
+        self._edges = [np.unique([0, *word_thresholds, random.WORD_RANGE]) for word_thresholds in thresholds]
 
-    @classmethod
-    def of(cls, cuts: tuple[tuple[Any, ...], ...]) -> "WordKinds":
-        """The kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
-        firsts, weights = [], np.ones(1)
-        for word_cuts in cuts:
-            edges = np.unique([0, *(int(random.threshold(cut)) for cut in word_cuts), random.WORD_RANGE])
-            firsts.append(edges[:-1].astype(np.uint32))
+    @property
+    def count(self) -> int:
+        """N, the combinations."""
+        return math.prod(len(edges) - 1 for edges in self._edges)
+
+    def weights(self) -> np.ndarray:
+        """``[N]`` float64: the probability of each combination."""
+        weights = np.ones(1)
+        for edges in self._edges:
             weights = np.outer(weights, np.diff(edges) / random.WORD_RANGE).ravel()
-        words = tuple(grid.ravel() for grid in np.meshgrid(*firsts, indexing="ij"))
-        return cls(tuple(firsts), words, weights)
+        return weights
+
+    def first_words(self) -> tuple[np.ndarray, ...]:
+        """For each word, the least of the kind that a combination has: ``[N]`` uint32."""
+        return _combined([edges[:-1] for edges in self._edges])
+
+    def last_words(self) -> tuple[np.ndarray, ...]:
+        """The same for the greatest."""
+        return _combined([edges[1:] - 1 for edges in self._edges])
 
     def number(self, words: tuple[Array, ...]) -> Array:
         """The number of the combination of kinds that the words have, int32 of their shape."""
         number = jnp.zeros_like(words[0], jnp.int32)
-        for word, firsts in zip(words, self.firsts, strict=True):
-            number = number * np.int32(len(firsts))
-            for first in firsts[1:]:
-                number += (word >= first).astype(jnp.int32)
+        for word, edges in zip(words, self._edges, strict=True):
+            number = number * np.int32(len(edges) - 1)
+            for first in edges[1:-1]:
+                number += (word >= np.uint32(first)).astype(jnp.int32)
         return number
+
+
+def _combined(words: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    return tuple(grid.ravel().astype(np.uint32) for grid in np.meshgrid(*words, indexing="ij"))
 
 
 class Outcomes(NamedTuple):
@@ -54,19 +70,33 @@ class Outcomes(NamedTuple):
 
 
 def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
-    """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`."""
+    """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`.
+
+    Raises:
+        ValueError: two words of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
+    """
 
     def outcome(state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         after, reward, terminated, info = env.transition(env.decode(state), action, words, params)
         return env.encode(after), reward, packed_flags(terminated, [info[name] for name in env.metrics])
 
-    over_words = jax.vmap(outcome, (None, None, 0), axis_size=len(kinds.weights))
+    over_words = jax.vmap(outcome, (None, None, 0), axis_size=kinds.count)
     over_actions = jax.vmap(over_words, (None, 0, None))
     over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
     with jax.ensure_compile_time_eval():
         states = jnp.arange(env.num_states, dtype=jnp.int32)
         actions = jnp.arange(env.num_actions, dtype=jnp.int32)
-        return Outcomes(*(np.asarray(part) for part in over_states(states, actions, kinds.words)))
+        ends = kinds.first_words(), kinds.last_words()
+        found, by_last = (Outcomes(*map(np.asarray, over_states(states, actions, words))) for words in ends)
+    differs = np.any([one != other for one, other in zip(found, by_last, strict=True)], axis=0)
+    if differs.any():
+        state, action, kind = (int(i) for i in np.argwhere(differs)[0])
+        low, high = ([int(word[kind]) for word in words] for words in ends)
+        raise ValueError(
+            f"{env.name}: word_cuts lacks a probability at which the meaning of a word changes: from state {state}, "
+            f"action {env.action_names[action]!r} leads elsewhere with the words {low} than with {high}"
+        )
+    return found
 
 
 def packed_flags(terminated: Array, events: list[Array]) -> Array:
@@ -136,8 +166,8 @@ def _table(env: Any, params: Any) -> OutcomeTable | None:
     cuts = env.word_cuts(params)
     if sum(map(len, cuts)) > _MOST_CUTS:
         return None
-    kinds = WordKinds.of(cuts)
-    if env.num_states * env.num_actions * len(kinds.weights) > _MOST_ENTRIES:
+    kinds = WordKinds(cuts)
+    if env.num_states * env.num_actions * kinds.count > _MOST_ENTRIES:
         return None
     table = OutcomeTable(kinds, enumerate_outcomes(env, params, kinds), len(env.metrics))
     return table if table.fits else None

@@ -84,7 +84,7 @@ class _Traced(StepSizeLearner):
         row = row_of(tables.values, step.next_state, prepared)
         if self._on_policy:
             action = self.choose(row, words[0], moment)
-            bootstrap = td.pick(row, action)
+            bootstrap = take(tables.values, step.next_state * prepared + action)
         else:
             action, bootstrap = td.greedy(row)
         target = self.target(step.reward, bootstrap, step.terminated, moment)
