@@ -5,10 +5,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
 from hrljax.envs.mario import drift, parity, recordings
 from hrljax.envs.mario.quantum import check_quantum
+from hrljax.experiments import program
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,4 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

@@ -1,17 +1,13 @@
 """Learning curves of the Bus domain (thesis Figure 4.2): a picture, a table and the numbers."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
 from hrljax import results
 from hrljax.batch import Mapping
-from hrljax.experiments import figure_4_2
+from hrljax.experiments import figure_4_2, program
 from hrljax.experiments.rows import curves_csv
-from hrljax.train import check_count
 
 
 @dataclass(frozen=True)
@@ -40,11 +36,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    check_count("--seeds", options.seeds)
-    check_count("--episodes", options.episodes)
-    check_count("--key", options.key, least=0)
-    if options.cores is not None:
-        check_count("--cores", options.cores)
+    program.check_counts(options, "seeds", "episodes")
     options.out.mkdir(parents=True, exist_ok=True)
     exact = figure_4_2.exact()
     finished, rows, complete = [], [], True
@@ -55,21 +47,15 @@ def main(options: Options) -> int:
         complete = bool(dataset.attrs["complete"])
         row = rows[-1]
         print(f"{row['name']:>36} {row['mean_return']:8.2f}  {row['seconds']:6.1f} s", file=sys.stderr, flush=True)
-    (options.out / "summary.json").write_text(json.dumps({"exact": exact, "curves": rows}, indent=1) + "\n")
+    program.write_summary(options.out, {"exact": exact, "curves": rows})
     (options.out / "figure_4_2.csv").write_text(
         curves_csv((curve.panel, curve.name, dataset) for curve, dataset in finished)
     )
     figure_4_2.picture(finished, exact).savefig(options.out / "figure_4_2.png", dpi=110)
     print(figure_4_2.table(rows))
     print(f"\noptimum {exact['optimal']['mean']:.2f}, best epsilon-soft policy {exact['epsilon_soft']:.2f}")
-    print(f"written to {options.out}")
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+    return program.ended(options.out, complete)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

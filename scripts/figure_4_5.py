@@ -1,14 +1,11 @@
 """The distance that Mario moves in each episode (thesis Figure 4.5), from the runs of table_4_1.py."""
 
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
 from hrljax import results
-from hrljax.experiments import mario_hybrid
+from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.rows import curves_csv
 
 
@@ -43,14 +40,10 @@ def main(options: Options) -> int:
     mario_hybrid.distance_picture(curves).savefig(options.out / "figure_4_5.png", dpi=110)
     (options.out / "figure_4_5.csv").write_text(curves_csv(("", name, curve) for name, curve in curves.items()))
     chosen = [row for row in rows if row["name"] in options.methods]
-    (options.out / "summary.json").write_text(json.dumps(chosen, indent=1) + "\n")
+    program.write_summary(options.out, chosen)
     print(mario_hybrid.table(chosen))
-    print(f"\nwritten to {options.out}")
-    return 0
+    return program.ended(options.out)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

@@ -1,16 +1,12 @@
 """Step size x pseudo-reward x learner on Maze, Taxi and Bus over many seeds: pictures, a table and the numbers."""
 
-import json
 import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
 from hrljax import results
-from hrljax.experiments import learning_rates, learning_rates_pictures
-from hrljax.train import check_count
+from hrljax.experiments import learning_rates, learning_rates_pictures, program
 
 
 @dataclass(frozen=True)
@@ -78,23 +74,17 @@ def main(options: Options) -> int:
         if not complete:
             break
     summary = {"exact": exact, "best": best, "comparisons": comparisons}
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    program.write_summary(options.out, summary)
     (options.out / "learning_rates.csv").write_text(learning_rates.csv(rows))
     for name, figure in learning_rates_pictures.pictures(found, exact).items():
         figure.savefig(options.out / f"{name}.png", dpi=110)
     print(learning_rates.table(best, comparisons))
-    print(f"\nwritten to {options.out}")
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+    return program.ended(options.out, complete)
 
 
 def check(options: Options, known: tuple[str, ...]) -> None:
     """Raises ValueError for an option that makes no sense."""
-    check_count("--seeds", options.seeds)
-    check_count("--key", options.key, least=0)
-    if options.cores is not None:
-        check_count("--cores", options.cores)
+    program.check_counts(options, "seeds")
     if not 0 < options.scale < 1000:
         raise ValueError(f"--scale must be in (0, 1000), got {options.scale!r}")
     for name, values in (
@@ -116,7 +106,4 @@ def check(options: Options, known: tuple[str, ...]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

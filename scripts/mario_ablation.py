@@ -1,14 +1,10 @@
 """What moves Model+HORDQ with the learned model: each detail that the thesis leaves open, changed alone; a table."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from hrljax.experiments import mario_ablation
-from hrljax.train import check_count
+from hrljax.experiments import mario_ablation, program
 
 
 @dataclass(frozen=True)
@@ -35,9 +31,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    for name in ("seeds", "episodes"):
-        check_count(f"--{name}", getattr(options, name))
-    check_count("--key", options.key, least=0)
+    program.check_counts(options, "seeds", "episodes")
     names = options.only or tuple(mario_ablation.CHANGES)
     mario_ablation.check_names(names)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -47,7 +41,7 @@ def main(options: Options) -> int:
     found = []
     for row in rows:
         found.append(row)
-        (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+        program.write_summary(options.out, found)
         print(f"{row['name']:30}{row['finished']['mean']:8.1f}{row['distance']['mean']:8.1f}", flush=True)
     print("\n" + mario_ablation.table(found))
     print(f"\nwritten to {options.out}")
@@ -58,7 +52,4 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

@@ -1,14 +1,9 @@
 """Trains Mario on some levels and plays others, of every type and many difficulties: a table and a picture."""
 
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from hrljax.experiments import mario_generalisation, mario_hybrid
-from hrljax.train import check_count
+from hrljax.experiments import mario_generalisation, mario_hybrid, program
 
 
 @dataclass(frozen=True)
@@ -35,9 +30,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    for name in ("seeds", "episodes", "levels"):
-        check_count(f"--{name}", getattr(options, name))
-    check_count("--key", options.key, least=0)
+    program.check_counts(options, "seeds", "episodes", "levels")
     options.out.mkdir(parents=True, exist_ok=True)
     played = mario_generalisation.LevelSet(
         mario_generalisation.LEVEL_TYPES,
@@ -59,21 +52,15 @@ def main(options: Options) -> int:
             report=lambda name: print(f"trained on {name} ...", flush=True),
         ):
             found.append(row)
-            (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+            program.write_summary(options.out, found)
     except KeyboardInterrupt:
         complete = False
     if found:
         print(mario_generalisation.table(found))
         print("\n" + mario_generalisation.table(found, "distance"))
         mario_generalisation.picture(found).savefig(options.out / "generalisation.png", dpi=110)
-        print(f"\nwritten to {options.out}")
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+    return program.ended(options.out, complete)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

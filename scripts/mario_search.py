@@ -1,13 +1,9 @@
 """Which reading of the thesis's search brings Mario to the exit when the model is exact: a table."""
 
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from hrljax.experiments import mario_search
+from hrljax.experiments import mario_search, program
 from hrljax.train import check_count
 
 
@@ -29,6 +25,7 @@ class Options:
 
 
 def main(options: Options) -> int:
+    program.check_counts(options)
     for nodes in options.more_nodes:
         check_count("--more-nodes", nodes)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -37,13 +34,9 @@ def main(options: Options) -> int:
     for row in mario_search.rows(mario_search.settings(options.more_nodes), cores=options.cores):
         done.append(row)
         print(mario_search.table_line(row), flush=True)
-        (options.out / "summary.json").write_text(json.dumps(done, indent=1) + "\n")
-    print(f"\nwritten to {options.out}")
-    return 0
+        program.write_summary(options.out, done)
+    return program.ended(options.out)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

@@ -1,15 +1,11 @@
 """Optimal, hierarchically and recursively optimal policies, and what learners reach: tables and pictures."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from hrljax.experiments import optimality
+from hrljax.experiments import optimality, program
 from hrljax.experiments.rows import curves_csv
-from hrljax.train import check_count
 
 
 @dataclass(frozen=True)
@@ -38,8 +34,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    check_count("--seeds", options.seeds)
-    check_count("--key", options.key, least=0)
+    program.check_counts(options, "seeds")
     if not 0 < options.scale < 1000:
         raise ValueError(f"--scale must be in (0, 1000), got {options.scale!r}")
     known = {domain.name: domain for domain in optimality.domains()}
@@ -65,17 +60,11 @@ def main(options: Options) -> int:
             optimality.taxi_picture(found, optima.optimal.mean).savefig(options.out / "taxi.png", dpi=110)
         if not complete:
             break
-    (options.out / "summary.json").write_text(json.dumps({"exact": exact_rows, "reached": rows}, indent=1) + "\n")
+    program.write_summary(options.out, {"exact": exact_rows, "reached": rows})
     (options.out / "optimality.csv").write_text(curves_csv(curves))
     print(optimality.table(exact_rows, rows))
-    print(f"\nwritten to {options.out}")
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+    return program.ended(options.out, complete)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

@@ -1,14 +1,12 @@
 """Plays one game of Infinite Mario and writes a film, the steps as a table, and a picture of the level."""
 
 import csv
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import tyro
 from PIL import Image
 from tqdm import tqdm
 
@@ -16,7 +14,7 @@ from hrljax.envs.mario import play, render
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.recordings import LevelId
 from hrljax.envs.mario.tiles import TILE
-from hrljax.train import check_count
+from hrljax.experiments import program
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    for name in ("max_steps", "ticks_per_frame", "tile_pixels"):
-        check_count(f"--{name.replace('_', '-')}", getattr(options, name))
+    program.check_counts(options, "max_steps", "ticks_per_frame", "tile_pixels")
     env, level_id, policy = _game(options)
     params = env.default_params._replace(max_steps=options.max_steps)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -92,11 +89,10 @@ def main(options: Options) -> int:
         "kills": int(last.kills),
         "frames": len(shown),
     }
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    program.write_summary(options.out, summary)
     for name, value in summary.items():
         print(f"{name:>10}  {f'{value:.2f}' if isinstance(value, float) else value}")
-    print(f"written to {options.out}")
-    return 0
+    return program.ended(options.out)
 
 
 def _game(options: Options) -> tuple[Mario, LevelId, play.Policy]:
@@ -117,7 +113,4 @@ def _game(options: Options) -> tuple[Mario, LevelId, play.Policy]:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

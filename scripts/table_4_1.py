@@ -1,20 +1,16 @@
 """How often Mario finishes the thesis's level, by a model, by TD learning and by both (Table 4.1)."""
 
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import jax
-import tyro
 
 from hrljax import results
-from hrljax.experiments import mario_hybrid
+from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.rows import curves_csv
 from hrljax.learners.relational import RelationalHORDQ
 from hrljax.learners.search_root import SearchRoot
-from hrljax.train import check_count
 
 
 @dataclass(frozen=True)
@@ -49,9 +45,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    check_count("--seeds", options.seeds)
-    check_count("--episodes", options.episodes)
-    check_count("--key", options.key, least=0)
+    program.check_counts(options, "seeds", "episodes")
     options.out.mkdir(parents=True, exist_ok=True)
     env, root = mario_hybrid.environment(), mario_hybrid.ROOTS[options.model]
     curves = mario_hybrid.run(
@@ -67,7 +61,7 @@ def main(options: Options) -> int:
     rows = [mario_hybrid.summary_row(name, dataset) for name, dataset in curves.items()]
     for i, dataset in enumerate(curves.values()):
         results.save(dataset, options.out / "curves" / f"{i:02d}.zarr")
-    (options.out / "summary.json").write_text(json.dumps(rows, indent=1) + "\n")
+    program.write_summary(options.out, rows)
     (options.out / "table_4_1.csv").write_text(curves_csv(("", name, dataset) for name, dataset in curves.items()))
     mario_hybrid.counts_picture(rows).savefig(options.out / "table_4_1.png", dpi=110)
     shown = {name: curves[name] for name in (*mario_hybrid.THESIS, mario_hybrid.BEST_NAME) if name in curves}
@@ -81,10 +75,7 @@ def main(options: Options) -> int:
         mario_hybrid.film(agent, game, options.out / "finished.gif")
         middle = game[len(game) // 2].episode
         mario_hybrid.search_picture(agent, middle).savefig(options.out / "search.png", dpi=100)
-    print(f"\nwritten to {options.out}")
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+    return program.ended(options.out, complete)
 
 
 def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:
@@ -96,7 +87,4 @@ def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(Options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    program.run(main, Options)

@@ -1,7 +1,6 @@
 """Everything that may come of an action, by running an environment on one random word of every kind."""
 
 import math
-from collections.abc import Hashable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -15,7 +14,9 @@ from hrljax import random
 from hrljax.numerics import stage, take
 
 _MOST_CUTS = 64
+"""More comparisons of random words than these cost what the table saves."""
 _MOST_ENTRIES = 1 << 20
+"""A larger table does not stay in a core's cache, and takes long to make."""
 
 
 class WordKinds:
@@ -157,9 +158,11 @@ def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
     numbers = params._replace(max_steps=0)
     if any(isinstance(number, Tracer) for number in numbers):
         return None
-    if isinstance(env, Hashable):
-        return _cached_table(env, numbers)
-    return _table(env, numbers)
+    try:
+        hash(env)
+    except TypeError:
+        return _table(env, numbers)
+    return _cached_table(env, numbers)
 
 
 def _table(env: Any, params: Any) -> OutcomeTable | None:
