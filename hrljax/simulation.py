@@ -8,7 +8,7 @@ from jax import Array, lax
 
 from hrljax import random
 from hrljax.envs.base import Environment, TabularEnvironment
-from hrljax.envs.outcomes import OutcomeTable, outcome_table, packed_flags
+from hrljax.envs.outcomes import OutcomeTable, numbered_step, outcome_table
 from hrljax.numerics import stage, take
 from hrljax.random import WordBlock
 from hrljax.tally import BLOCK, Amounts, Flags, Tally
@@ -85,10 +85,9 @@ class _Tabular(Simulator[Flags]):
 
     def _compute(self, state: Array, action: Array, block: WordBlock, position: Array) -> Array:
         """The bits of the reward, then state and flags in one: what is one result is computed once."""
-        env, words = self.env, block[position][: self.env.num_words]
-        after, reward, terminated, info = env.transition(env.decode(state), action, words, self.params)
-        events = [info[name] for name in env.metrics]
-        packed = env.encode(after) << (1 + len(events)) | packed_flags(terminated, events)
+        words = block[position][: self.env.num_words]
+        after, reward, flags = numbered_step(self.env, self.params, state, action, words)
+        packed = after << (1 + len(self.env.metrics)) | flags
         return jnp.stack([lax.bitcast_convert_type(reward, jnp.int32), packed])
 
 

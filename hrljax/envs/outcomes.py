@@ -1,7 +1,7 @@
 """Everything that may come of an action, by running an environment on one random word of every kind."""
 
 import math
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -77,11 +77,7 @@ def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
         ValueError: two words of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
     """
 
-    def outcome(state: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-        after, reward, terminated, info = env.transition(env.decode(state), action, words, params)
-        return env.encode(after), reward, packed_flags(terminated, [info[name] for name in env.metrics])
-
-    over_words = jax.vmap(outcome, (None, None, 0), axis_size=kinds.count)
+    over_words = jax.vmap(partial(numbered_step, env, params), (None, None, 0), axis_size=kinds.count)
     over_actions = jax.vmap(over_words, (None, 0, None))
     over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
     with jax.ensure_compile_time_eval():
@@ -100,12 +96,15 @@ def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
     return found
 
 
-def packed_flags(terminated: Array, events: list[Array]) -> Array:
-    """Bit 0: the episode terminated; bit i: event i - 1 happened (int32)."""
+def numbered_step(
+    env: Any, params: Any, state: Array, action: Array, words: tuple[Array, ...]
+) -> tuple[Array, Array, Array]:
+    """One step of a tabular environment in the numbers of its states: next state, reward, flags as in `Outcomes`."""
+    after, reward, terminated, info = env.transition(env.decode(state), action, words, params)
     flags = terminated.astype(jnp.int32)
-    for i, event in enumerate(events, start=1):
-        flags |= event.astype(jnp.int32) << i
-    return flags
+    for i, name in enumerate(env.metrics, start=1):
+        flags |= info[name].astype(jnp.int32) << i
+    return env.encode(after), reward, flags
 
 
 class OutcomeTable:
