@@ -14,9 +14,10 @@ from jax import Array
 
 from hrljax import batch
 from hrljax.learners.base import Learner
+from hrljax.start import learned_shapes
 from hrljax.sweep import Checked, check
 from hrljax.train import check_count
-from hrljax.work import Job, learned_shapes
+from hrljax.work import Job
 
 _EPISODES, _BINS, _POINTS, _ROUNDS = 200, 4, 4, 3
 """Of the measured run: episodes, bins, combinations of hyper-parameters, repetitions."""

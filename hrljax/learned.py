@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax.continuation import episodes_of
 from hrljax.envs.base import Environment
 from hrljax.envs.registry import make, registered
 from hrljax.files import write_atomically
@@ -23,7 +24,8 @@ from hrljax.identity import as_attribute, differences, hierarchy_digest, options
 from hrljax.learners.base import Learner, Moment, Settings
 from hrljax.learners.option_set import Options
 from hrljax.policy import Policy, from_hierarchical
-from hrljax.work import ENV_PREFIX, LEARNED, learned_shapes, named_leaves
+from hrljax.start import LEARNED, Start, described, learned_shapes, named_leaves, step_words, tree_of
+from hrljax.work import ENV_PREFIX
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,20 +41,25 @@ class Learned:
         env: the environment.
         learner: the learner, with the hyper-parameters that it learned with.
         tables: its tables, a tree of NumPy arrays; `hrljax.Run.learned`.
+        episodes: how many it has learned from; 0 if that is not known.
+        steps: primitive steps of these episodes.
     """
 
-    def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any):
+    def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any, *, episodes: int = 0, steps: int = 0):
         """
         Raises:
-            ValueError: `tables` are not those of one run of `learner` on `env`.
+            ValueError: `tables` are not those of one run of `learner` on `env`; `episodes` or `steps` is negative.
         """
+        if episodes < 0 or steps < 0:
+            raise ValueError(f"episodes and steps must be at least 0, got {episodes} and {steps}")
         self.env, self.learner = env, learner
+        self.episodes, self.steps = int(episodes), int(steps)
         self.tables = jax.tree.map(np.asarray, tables)
         expected = learned_shapes(env, learner)
-        if _described(self.tables) != _described(expected):
+        if described(self.tables) != described(expected):
             raise ValueError(
-                f"tables must be those of one run of {learner.name} on {env.name}, {_described(expected)}, "
-                f"got {_described(self.tables)}"
+                f"tables must be those of one run of {learner.name} on {env.name}, {described(expected)}, "
+                f"got {described(self.tables)}"
             )
 
     @classmethod
@@ -87,7 +94,12 @@ class Learned:
         found = {str(name): run[name].values for name in run if str(name).startswith(LEARNED)}
         if not found:
             raise ValueError("the dataset has no tables; sweep with keep_learned=True")
-        return cls(env, learner, _tree(env, learner, found))
+        tables = tree_of(learned_shapes(env, learner), found)
+        return cls(env, learner, tables, episodes=episodes_of(dataset), steps=int(run["steps"]))
+
+    def as_start(self) -> Start:
+        """Where `hrljax.train` and `hrljax.sweep` go on from it."""
+        return Start(self.tables, self.episodes, step_words(self.steps))
 
     def policy(self, seed: int = 0) -> Policy | StatePolicy:
         """The greedy policy: in plain NumPy, over the numbers of states; or, of a learner that sees states, over these.
@@ -118,6 +130,8 @@ class Learned:
             "hrljax": version("hrljax"),
             **_settings(self.env, self.learner),
             "tables": sorted(tables),
+            "episodes": self.episodes,
+            "steps": self.steps,
         }
         content = io.BytesIO()
         np.savez(content, **{_HEADER: np.frombuffer(json.dumps(header).encode(), np.uint8)}, **tables)  # type: ignore[arg-type]
@@ -157,7 +171,8 @@ class Learned:
             raise ValueError(f"{where} with other settings: {'; '.join(wrong)}")
         if sorted(tables) != header["tables"]:
             raise ValueError(f"{path} is damaged: it has the tables {sorted(tables)} instead of {header['tables']}")
-        return cls(env, learner, _tree(env, learner, tables))
+        trained = {name: int(header.get(name, 0)) for name in ("episodes", "steps")}  # older files do not say
+        return cls(env, learner, tree_of(learned_shapes(env, learner), tables), **trained)
 
 
 class StatePolicy:
@@ -189,21 +204,6 @@ class StatePolicy:
     def __call__(self, state: Any) -> int:
         """The action (its number) in a state of the environment."""
         return int(self._choose(self._tables, state))
-
-
-def _described(tables: Any) -> str:
-    return ", ".join(f"{name}: {leaf.dtype}{list(leaf.shape)}" for name, leaf in named_leaves(tables))
-
-
-def _tree(env: Any, learner: Learner, named: dict[str, np.ndarray]) -> Any:
-    """Tables with the leaves of given names."""
-    leaves, structure = jax.tree_util.tree_flatten_with_path(learned_shapes(env, learner))
-    names = [LEARNED + jax.tree_util.keystr(path) for path, _ in leaves]
-    missing = [name for name, (_, leaf) in zip(names, leaves, strict=True) if leaf.size and name not in named]
-    if missing:
-        raise ValueError(f"the tables {', '.join(missing)} of {learner.name} are missing; there are {sorted(named)}")
-    found = [named.get(n, np.zeros(leaf.shape, leaf.dtype)) for n, (_, leaf) in zip(names, leaves, strict=True)]
-    return jax.tree_util.tree_unflatten(structure, found)
 
 
 def _settings(env: Any, learner: Learner) -> dict[str, Any]:
@@ -263,9 +263,9 @@ def _learner(env: Any, header: dict[str, Any], where: str) -> Learner:
     """The learner that a header describes."""
     settings: dict[str, Any] = {}
     for name, value in header["settings"].items():
-        for kind, described in (("schedule", f"{name} as a schedule"), ("options", "options")):
+        for kind, what in (("schedule", f"{name} as a schedule"), ("options", "options")):
             if isinstance(value, dict) and kind in value:
-                raise ValueError(f"{where} with {described}, which files do not hold; give the learner")
+                raise ValueError(f"{where} with {what}, which files do not hold; give the learner")
         if isinstance(value, dict) and "hierarchy" in value:
             if value != {"hierarchy": hierarchy_digest(env, env.hierarchy())}:
                 raise ValueError(f"{where} with another hierarchy than {env.name}'s own; give the learner")

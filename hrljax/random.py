@@ -15,11 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.counting import Count
 from hrljax.numerics import take
 
 WORD_BITS = 24
 WORD_RANGE = 1 << WORD_BITS
 
+_MOST_WORDS = 256 * 64 // WORD_BITS
+"""Random words of one position: its Threefry blocks are numbered by 8 bits."""
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _PARITY = np.uint32(0x1BD11BDA)
 
@@ -64,7 +67,13 @@ def check_key(key: object) -> None:
 
 
 def num_blocks(num_words: int) -> int:
-    """How many Threefry blocks (64 bits each) hold `num_words` words."""
+    """How many Threefry blocks (64 bits each) hold `num_words` words.
+
+    Raises:
+        ValueError: a position has no more than `_MOST_WORDS`.
+    """
+    if num_words > _MOST_WORDS:
+        raise ValueError(f"a step may use at most {_MOST_WORDS} random words, got {num_words}")
     return -(-num_words * WORD_BITS // 64)
 
 
@@ -78,12 +87,23 @@ def _pack(halves: list[Array], num_words: int) -> tuple[Array, ...]:
     return tuple(words[:num_words])
 
 
-def words(key: tuple[Array, Array], index: Array, num_words: int, stream: int = 0) -> tuple[Array, ...]:
-    """`num_words` words for position `index` (uint32 scalar) of one of 128 streams of a key."""
+def words(
+    key: tuple[Array, Array], index: Array, num_words: int, stream: int = 0, high: Array | None = None
+) -> tuple[Array, ...]:
+    """`num_words` words for a position of one of 128 streams of a key.
+
+    The position is ``high * 2^32 + index``, uint32 scalars; 2^48 positions have words of their own.
+    """
     halves: list[Array] = []
     for lane in range(num_blocks(num_words)):
-        halves += threefry_2x32(key, (index, jnp.uint32(stream << 24 | lane)))
+        second = np.uint32(stream << 24 | lane)
+        halves += threefry_2x32(key, (index, jnp.uint32(second) if high is None else _with_high(second, high)))
     return _pack(halves, num_words)
+
+
+def _with_high(second: Array | np.uint32, high: Array) -> Array:
+    """The second word of a counter, from bit 0: 8 bits of lane, 16 of the high word of a position, 7 of stream."""
+    return second | (high & np.uint32(0xFFFF)) << np.uint32(8)
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["pairs"], meta_fields=["length", "num_words"])
@@ -110,15 +130,16 @@ class WordBlock:
         return _pack(halves, self.num_words)
 
 
-def word_block(key: tuple[Array, Array], start: Array, length: int, num_words: int) -> WordBlock:
+def word_block(key: tuple[Array, Array], start: Count, length: int, num_words: int) -> WordBlock:
     """The words of `length` successive positions, computed at once as short vectors.
 
-    ``word_block(key, start, length, n)[i]`` equals ``words(key, start + i, n)``; a vector of
-    positions costs little more than one, so a loop takes its words from a block.
+    ``word_block(key, start, length, n)[i]`` equals the `words` of position ``start + i``; a vector
+    of positions costs little more than one, so a loop takes its words from a block.
     """
     lanes = num_blocks(num_words)
-    index = start + np.tile(np.arange(length, dtype=np.uint32), lanes)
-    lane = jnp.asarray(np.repeat(np.arange(lanes, dtype=np.uint32), length))
+    position = start.plus(jnp.asarray(np.tile(np.arange(length, dtype=np.uint32), lanes)))
+    index = position.low
+    lane = _with_high(jnp.asarray(np.repeat(np.arange(lanes, dtype=np.uint32), length)), position.high)
     # XLA would compute every round once for each of the two results. As one array of pairs,
     # for which complex64 is the only type, they are computed once; no arithmetic touches them.
     x0, x1 = threefry_2x32(key, (index, lane))

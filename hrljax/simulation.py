@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax import random
+from hrljax.counting import Count
 from hrljax.envs.base import Environment, TabularEnvironment
 from hrljax.envs.outcomes import OutcomeTable, numbered_step, outcome_table
 from hrljax.numerics import stage, take
@@ -36,8 +37,8 @@ class Simulator(ABC, Generic[Counter]):
         self.env, self.params = env, params
         self._num_words = env.num_words + num_learner_words
 
-    def block(self, key: tuple[Array, Array], start: Array) -> Any:
-        """What `BLOCK` steps need of random words, from position `start` (uint32) on."""
+    def block(self, key: tuple[Array, Array], start: Count) -> Any:
+        """What `BLOCK` steps need of random words, from position `start` on."""
         return random.word_block(key, start, BLOCK, self._num_words)
 
     def learner_words(self, block: Any, position: Array) -> tuple[Array, ...]:
@@ -98,7 +99,7 @@ class _LookedUp(_Tabular):
         super().__init__(env, params, num_learner_words)
         self._table = table
 
-    def block(self, key: tuple[Array, Array], start: Array) -> tuple[Array, Array]:
+    def block(self, key: tuple[Array, Array], start: Count) -> tuple[Array, Array]:
         """``[BLOCK]`` places in the table, and the learner's words, word by word."""
         words = super().block(key, start).columns()
         own, learners = words[: self.env.num_words], words[self.env.num_words :]

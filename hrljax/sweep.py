@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import time
@@ -18,12 +19,14 @@ import numpy as np
 from jax import Array
 
 from hrljax import batch, identity, random
+from hrljax.continuation import Continuation, continuation
 from hrljax.envs.base import concrete_params
 from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
+from hrljax.start import Startable, learned_shapes, named_leaves
 from hrljax.store import Store, attributes_on_disk
 from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, metric_names
-from hrljax.work import ENV_PREFIX, Job, learned_shapes, named_leaves
+from hrljax.work import ENV_PREFIX, Job
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,6 +49,7 @@ def sweep(
     chunk_size: int | None = None,
     executor: Executor | None = None,
     store: str | Path | None = None,
+    start: xr.Dataset | Startable | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
     """Trains a learner for every combination of hyper-parameters and seed.
@@ -75,16 +79,21 @@ def sweep(
             is a group of seeds of one combination. If the store is there, the sweep continues it:
             it computes what is missing or corrupt, and the end is the same as without the break,
             byte for byte. `hrljax.load` and `xarray.open_zarr` open it at any time.
+        start: what training goes on from; from scratch if None. A dataset of a sweep with `keep_learned`:
+            every run goes on from the one with its seed and its values along the axes that the dataset
+            has, and with the same `key` two sweeps of 500 episodes give the bits of one of 1000. Or a
+            `hrljax.Learned`, from which every run goes on.
         progress: whether to show a progress bar.
 
     Returns:
         A dataset with dimensions of the axes, then ``seed``, then ``episode`` (the last episode of
-        each bin). Variables: ``return``, ``length`` and the environment's events, means per episode
-        of the bin; ``steps`` of each run; with `evaluate_every`, ``greedy_return`` over
-        ``checkpoint``; with `keep_learned`, ``learned`` or its parts. Attributes: every setting
-        (``"swept"`` where there is an axis), the versions, the key, ``seconds`` (``compile_seconds``
-        apart, if this process compiles) and ``complete``; after a keyboard interrupt the unfinished
-        runs are NaN and ``complete`` is 0.
+        each bin, counted from the very first). Variables: ``return``, ``length`` and the
+        environment's events, means per episode of the bin; ``steps`` of each run, those before
+        `start` included; with `evaluate_every`, ``greedy_return`` over ``checkpoint``; with
+        `keep_learned`, ``learned`` or its parts. Attributes: every setting (``"swept"`` where there
+        is an axis), the versions, the key, ``seconds`` (``compile_seconds`` apart, if this process
+        compiles) and ``complete``; after a keyboard interrupt the unfinished runs are NaN and
+        ``complete`` is 0.
 
     Raises:
         TypeError, ValueError: a bad argument, or a store of another sweep; before anything is compiled.
@@ -108,6 +117,7 @@ def sweep(
         evaluate_every=evaluate_every,
         keep_learned=keep_learned,
         mapping=mapping,
+        start=start,
     )
     job, labels, attributes, resolved = checked.job, checked.labels, checked.attributes, checked.mapping
     title = f"{type(learner).__name__} on {env.name}" if progress else None
@@ -164,6 +174,7 @@ class Checked(NamedTuple):
     key: Array
     mapping: Any  # what the job's mapping means here
     attributes: dict[str, Any]
+    start: Continuation | None
 
     def chunks(self, cores: int | None, chunk_size: int | None, portable: bool) -> tuple[int, list[range]]:
         """The most runs in a chunk, and the runs of each.
@@ -185,6 +196,7 @@ class Checked(NamedTuple):
         return {
             "key": np.tile(np.asarray(words), (len(grid), 1)),
             "axes": {name: np.repeat(grid[:, i], labels.seeds) for i, name in enumerate(labels.columns)},
+            **({} if self.start is None else {"start": self.start.rows}),
         }
 
     def identity(self) -> dict[str, Any]:
@@ -195,7 +207,8 @@ class Checked(NamedTuple):
             "keep_learned": int(job.keep_learned),
             "seeds": labels.seeds,
             "axes": json.dumps(labels.columns),
-            **identity.digests(job.env, job.learner, job.num_episodes),
+            **({} if self.start is None else {"digest.start": self.start.digest()}),
+            **identity.digests(job.env, job.learner, job.first_episode + job.num_episodes),
         }
 
 
@@ -212,6 +225,7 @@ def check(
     evaluate_every: int | None,
     keep_learned: bool,
     mapping: batch.Mapping,
+    start: xr.Dataset | Startable | None = None,
 ) -> Checked:
     """Checks the arguments of `sweep`.
 
@@ -233,11 +247,16 @@ def check(
     job = Job(env, learner, params, num_episodes, bin_size, evaluate_every, bool(keep_learned), mapping)
     attributes = identity.attributes(env, learner, params, root_key, columns)
     attributes |= {"num_episodes": num_episodes, "bin_size": bin_size}
-    return Checked(job, _labels(job, columns, seeds), root_key, resolved, attributes)
+    labels, begin = _labels(job, columns, seeds), None
+    if start is not None:
+        begin = continuation(start, env, learner, labels, num_episodes)
+        job = dataclasses.replace(job, first_episode=begin.episodes)
+        labels, attributes = _labels(job, columns, seeds), attributes | begin.attributes()
+    return Checked(job, labels, root_key, resolved, attributes, begin)
 
 
 def _labels(job: Job, columns: dict[str, list[float]], seeds: int) -> Labels:
-    ends = np.cumsum(bin_sizes(job.num_episodes, job.bin_size))
+    ends = job.first_episode + np.cumsum(bin_sizes(job.num_episodes, job.bin_size))
     number = np.dtype(np.float64)
     coordinates = {"episode": ends}
     variables = {name: Variable(("episode",), (len(ends),), number, describe(name)) for name in metric_names(job.env)}

@@ -7,12 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 
 from hrljax import random, tally
+from hrljax.counting import Count, Total, count, total
 from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
 from hrljax.numerics import opaque_zero
 from hrljax.simulation import simulator
+from hrljax.start import Start, Startable, checked_start, steps_of
 from hrljax.tally import BLOCK
 
 _BEGIN_STREAM = 2
@@ -27,7 +30,23 @@ class Run(NamedTuple):
     learned: Any  # the learner's tables after the last episode
     metrics: dict[str, Array]  # each [bins] float32: mean per episode, in bins of episodes
     greedy_return: Array  # [checkpoints] float32: exact value of the greedy policy
-    steps: Array  # int32: primitive steps of the whole run
+    episodes: Array  # int32: episodes that were learned from, those before `start` included
+    step_words: Array  # [2] uint32: primitive steps of these episodes, the low and the high half
+
+    @property
+    def steps(self) -> Any:
+        """Primitive steps of these episodes, int64 ``[...]`` where runs are mapped; outside of compiled code.
+
+        Raises:
+            TypeError: the run is traced.
+        """
+        if isinstance(self.step_words, Tracer):
+            raise TypeError("Run.steps has 64 bits, which compiled code does not; use Run.step_words there")
+        return steps_of(self.step_words)
+
+    def as_start(self) -> Start:
+        """Where a run begins that goes on from this one."""
+        return Start(self.learned, self.episodes, self.step_words)
 
 
 class _Loop(NamedTuple):
@@ -37,10 +56,18 @@ class _Loop(NamedTuple):
     state: Any  # the environment's state; its number (int32) if it is tabular
     time: Array  # int32 steps taken in this episode
     episode: Array  # int32 episodes finished
-    reward: Array  # float32, over the bin
-    events: Array  # [events] float32, over the bin
+    reward: Array  # float32, over a block of random words
+    events: Array  # [events] float32, over a block of random words
     truncated: Array  # int32 truncated episodes, over the bin
     is_over: Array  # bool: the episode has just ended
+
+
+class _Progress(NamedTuple):
+    """What changes from block to block of random words."""
+
+    loop: _Loop
+    steps: Count  # of the whole run
+    sums: Total  # [1 + events] reward and events, over the bin
 
 
 class _Stretch(NamedTuple):
@@ -50,6 +77,11 @@ class _Stretch(NamedTuple):
     state: Any
     reward: Array
     tally: Any  # see `hrljax.tally`
+
+
+def _like(leaf: Array, value: Any) -> Array:
+    """A table that a run starts from; `checked_start` has seen that it has the shape and the dtype of `leaf`."""
+    return jnp.asarray(value, leaf.dtype)
 
 
 def _select(condition: Array, these: Any, those: Any) -> Any:
@@ -100,9 +132,10 @@ def train(
     params: Any = None,
     bin_size: int | None = None,
     evaluate_every: int | None = None,
+    start: Startable | Start | None = None,
     lockstep: bool = False,
 ) -> Run:
-    """Trains a learner from scratch for a number of episodes. Pure, for one seed; jit and vmap it.
+    """Trains a learner for a number of episodes. Pure, for one seed; jit and vmap it.
 
     Compiled by itself it is correct, but not fast on a CPU: `hrljax.sweep` and `hrljax.batch`
     compile it as a native loop.
@@ -115,6 +148,9 @@ def train(
         params: numbers of the environment, `env.default_params` if None; may be traced.
         bin_size: episodes in a bin of the metrics; about a 200th of the run if None.
         evaluate_every: evaluates the greedy policy exactly after every so many bins; never if None.
+        start: what training goes on from, a `Run` or a `hrljax.Learned`; from scratch if None. With the
+            same key, a run of 500 episodes and 500 more give the same bits as one of 1000; a schedule is
+            read on from the episode where the first run ended.
         lockstep: how the loop is built, not what it computes. True suits `vmap`, where all runs of
             a batch take their steps together; False suits one run.
 
@@ -123,9 +159,10 @@ def train(
     """
     check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
     params = concrete_params(env.default_params if params is None else params)
-    return _Trainer(env, tabulated(learner, num_episodes), key, params, num_episodes, lockstep).run(
-        bin_size or default_bin_size(num_episodes), evaluate_every
-    )
+    begin = None if start is None else checked_start(start, env, learner, num_episodes)
+    learner = tabulated(learner, num_episodes, 0 if begin is None else begin.episodes)
+    trainer = _Trainer(env, learner, key, params, num_episodes, lockstep, begin)
+    return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
 
 
 def check_arguments(
@@ -159,60 +196,80 @@ def check_count(name: str, value: object, least: int = 1) -> None:
 class _Trainer:
     """The training loop of one run, as nested loops: bins, plans, blocks of random words, stretches, steps."""
 
-    def __init__(self, env: Env, learner: Learner, key: Array, params: Any, num_episodes: int, lockstep: bool):
+    def __init__(
+        self,
+        env: Env,
+        learner: Learner,
+        key: Array,
+        params: Any,
+        num_episodes: int,
+        lockstep: bool,
+        start: Start | None = None,
+    ):
         self.env, self.learner, self.params = env, learner, params
         self.num_episodes, self.lockstep = num_episodes, lockstep
+        self.start, self.first_episode = start, 0 if start is None else start.episodes
         self.key = random.key_words(key)
         self.prepared = learner.prepare(env)
         self.simulator = simulator(env, params, learner.num_words)
 
     def run(self, bin_size: int, evaluate_every: int | None) -> Run:
         sizes = bin_sizes(self.num_episodes, bin_size)
-        state = self.learner.init(self.env, self.prepared)
-        zero = jnp.int32(0)
-        control, first = self._begin(
-            state.tables, zero, Moment(zero, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
-        )
-        start = (_Loop(state._replace(control=control), first, zero, zero, *self._nothing(), jnp.bool_(False)), zero)
+        start = self._start()
 
-        def run_bin(carry: tuple[_Loop, Array], number: Array) -> tuple[tuple[_Loop, Array], tuple[Any, Array]]:
-            end = jnp.minimum((number + 1) * bin_size, self.num_episodes)
-            before = carry[1]
-            loop, steps = lax.while_loop(lambda c: c[0].episode < end, lambda c: self._between_plans(*c, end), carry)
-            sums = (loop.reward, loop.events, loop.truncated)
-            reward, events, truncated = self._nothing()
-            loop = loop._replace(reward=reward, events=events, truncated=truncated)
-            return (loop, steps), (sums, steps - before)
+        def run_bin(before: _Progress, number: Array) -> tuple[_Progress, tuple[Array, Array, Array]]:
+            end = jnp.minimum((number + 1) * bin_size, self.num_episodes) + self.first_episode
+            now = lax.while_loop(lambda p: p.loop.episode < end, lambda p: self._between_plans(p, end), before)
+            of_bin = (now.sums.rounded(), now.steps.minus(before.steps).as_float(), now.loop.truncated)
+            cleared = now._replace(loop=now.loop._replace(truncated=jnp.int32(0)), sums=self._no_sums())
+            return cleared, of_bin
 
-        def run_stretch(carry: tuple[_Loop, Array], numbers: Array) -> tuple[tuple[_Loop, Array], Any]:
-            carry, sums = lax.scan(run_bin, carry, numbers)
-            return carry, (sums, self._evaluate(carry[0]))
+        def run_stretch(progress: _Progress, numbers: Array) -> tuple[_Progress, Any]:
+            progress, of_bins = lax.scan(run_bin, progress, numbers)
+            return progress, (of_bins, self._evaluate(progress.loop))
 
         numbers = jnp.arange(len(sizes), dtype=jnp.int32)
         values = jnp.zeros(0, jnp.float32)
         if evaluate_every is None:
-            (loop, steps), sums = lax.scan(run_bin, start, numbers)
+            last, of_bins = lax.scan(run_bin, start, numbers)
         else:
             whole = len(sizes) // evaluate_every * evaluate_every
-            carry, (sums, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
-            (loop, steps), rest = lax.scan(run_bin, carry, numbers[whole:])
-            sums = jax.tree.map(lambda a, b: jnp.concatenate([lax.collapse(a, 0, 2), b]), sums, rest)
+            last, (of_bins, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
+            last, rest = lax.scan(run_bin, last, numbers[whole:])
+            of_bins = jax.tree.map(lambda a, b: jnp.concatenate([lax.collapse(a, 0, 2), b]), of_bins, rest)
         # Opaque, because XLA would multiply by the rounded reciprocal of a constant.
-        episodes = (jnp.asarray(sizes, jnp.int32) + _zero(loop).astype(jnp.int32)).astype(jnp.float32)
-        (reward, events, truncated), length = sums
-        columns = [reward, length.astype(jnp.float32), *events.T, truncated.astype(jnp.float32)]
+        episodes = (jnp.asarray(sizes, jnp.int32) + _zero(last.loop).astype(jnp.int32)).astype(jnp.float32)
+        sums, length, truncated = of_bins
+        reward, *events = sums.T
+        columns = [reward, length, *events, truncated.astype(jnp.float32)]
         metrics = {name: column / episodes for name, column in zip(metric_names(self.env), columns, strict=True)}
-        return Run(loop.learner.tables, metrics, values, steps)
+        return Run(last.loop.learner.tables, metrics, values, last.loop.episode, jnp.stack(last.steps))
+
+    def _start(self) -> _Progress:
+        """Before the first step."""
+        state = self.learner.init(self.env, self.prepared)
+        steps = count()
+        if self.start is not None:
+            state = state._replace(tables=jax.tree.map(_like, state.tables, self.start.learned))
+            steps = Count(*self.start.step_words)
+        episode = jnp.int32(self.first_episode)
+        moment = Moment(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
+        control, first = self._begin(state.tables, episode, moment)
+        events, zero = jnp.zeros(len(self.env.metrics), jnp.float32), jnp.int32(0)
+        state = state._replace(control=control)
+        loop = _Loop(state, first, zero, episode, jnp.float32(0), events, zero, jnp.bool_(False))
+        return _Progress(loop, steps, self._no_sums())
 
     def _evaluate(self, loop: _Loop) -> Array:
         return self.learner.greedy_return(self.env, self.prepared, loop.learner.tables, self.params, _zero(loop))
 
-    def _nothing(self) -> tuple[Array, Array, Array]:
-        """Reward, events and truncated episodes of a bin before its first step."""
-        return jnp.float32(0), jnp.zeros(len(self.env.metrics), jnp.float32), jnp.int32(0)
+    def _no_sums(self) -> Total:
+        """The reward and the events of a bin before its first step."""
+        return total((1 + len(self.env.metrics),))
 
-    def _between_plans(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
+    def _between_plans(self, progress: _Progress, end: Array) -> _Progress:
         """Plans if it is time to, and runs episodes until it is time again or `end` is reached."""
+        loop = progress.loop
         interval = self.learner.planning_interval
         if interval:
             moment = Moment(loop.episode, jnp.bool_(True), _zero(loop), self.lockstep)
@@ -223,11 +280,12 @@ class _Trainer:
             )
             loop = loop._replace(learner=loop.learner._replace(tables=tables))
             end = jnp.minimum(end, (loop.episode // interval + 1) * interval)
-        return lax.while_loop(lambda c: c[0].episode < end, lambda c: self._block(*c, end), (loop, steps))
+        progress = progress._replace(loop=loop)
+        return lax.while_loop(lambda p: p.loop.episode < end, lambda p: self._block(p, end), progress)
 
-    def _block(self, loop: _Loop, steps: Array, end: Array) -> tuple[_Loop, Array]:
-        """Up to a block of steps, none after `end` episodes; `steps` counts those of the whole run."""
-        words = self.simulator.block(self.key, steps.astype(jnp.uint32))
+    def _block(self, progress: _Progress, end: Array) -> _Progress:
+        """Up to a block of steps, none after `end` episodes."""
+        words = self.simulator.block(self.key, progress.steps)
 
         def alone(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """Steps to the end of the episode or of the block."""
@@ -242,12 +300,14 @@ class _Trainer:
             small = _select(loop.is_over, _small(self._next_episode(loop)), _small(loop))
             return _with(loop, _select(live, small, _small(carry[0]))), lax.select(live, taken, carry[1])
 
-        start = (loop, jnp.int32(0))
+        no_events = jnp.zeros(len(self.env.metrics), jnp.float32)
+        start = (progress.loop._replace(reward=jnp.float32(0), events=no_events), jnp.int32(0))
         if self.lockstep:
             loop, taken = lax.fori_loop(0, BLOCK, in_lockstep, start)
         else:
             loop, taken = lax.while_loop(lambda c: (c[1] < BLOCK) & (c[0].episode < end), alone, start)
-        return loop, steps + taken
+        sums = progress.sums.plus(jnp.concatenate([loop.reward[None], loop.events]))
+        return _Progress(loop, progress.steps.plus(taken.astype(jnp.uint32)), sums)
 
     def _stretch(self, loop: _Loop, taken: Array, words: Any, live: Array) -> tuple[_Loop, Array]:
         """Steps to the end of the episode or of the block; in lockstep one, or none if not `live`.
@@ -305,5 +365,5 @@ class _Trainer:
         if isinstance(self.env, TabularEnvironment):
             first = self.env.encode(first)
         # The last episode is followed by a beginning that no one uses; schedules end with the run.
-        moment = moment._replace(episode=jnp.minimum(episode, self.num_episodes - 1))
+        moment = moment._replace(episode=jnp.minimum(episode, self.first_episode + self.num_episodes - 1))
         return self.learner.begin(self.prepared, tables, first, words[own:], moment), first

@@ -3,7 +3,7 @@
 import dataclasses
 import pickle
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -13,11 +13,10 @@ import numpy as np
 
 from hrljax import batch
 from hrljax.learners.base import Learner
+from hrljax.start import Start, named_leaves, steps_of
 from hrljax.train import train
 
 ENV_PREFIX = "env."
-LEARNED = "learned"
-"""Name of the learned tables, and first part of the names of each, among the values of a run."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +31,8 @@ class Job:
     evaluate_every: int | None
     keep_learned: bool
     mapping: batch.Mapping
+    first_episode: int = 0
+    """Episodes that runs have learned from before they start."""
 
     def compiled(self, rows: Any, length: int) -> Callable[[Any], Any]:
         """The compiled function of a chunk of `length` rows like `rows`; compiled once per process."""
@@ -45,7 +46,8 @@ class Job:
 
         Args:
             rows: ``key`` ``[rows, 2]`` uint32, the words of each run's key; ``axes``, for each
-                swept hyper-parameter its values ``[rows]`` float32.
+                swept hyper-parameter its values ``[rows]`` float32; ``start``, where runs go on, the
+                fields of `hrljax.start.Start` but the episodes, ``[rows, ...]``.
             length: rows that the compiled function takes.
 
         Returns:
@@ -113,9 +115,10 @@ def _compiler(frozen: _Frozen) -> Callable[[Any], Callable[[Any], Any]]:
             params=job.params._replace(**of_env),
             bin_size=job.bin_size,
             evaluate_every=job.evaluate_every,
+            start=Start(episodes=job.first_episode, **row["start"]) if "start" in row else None,
             lockstep=job.mapping == "vmap",
         )
-        values = {**result.metrics, "steps": result.steps}
+        values = {**result.metrics, "steps": result.step_words}
         if job.evaluate_every is not None:
             values["greedy_return"] = result.greedy_return
         return values | (dict(named_leaves(result.learned)) if job.keep_learned else {})
@@ -128,22 +131,14 @@ def _compiler(frozen: _Frozen) -> Callable[[Any], Callable[[Any], Any]]:
         signature = str(jax.tree.map(lambda s: (s.shape, s.dtype), shapes))
         with lock:
             if signature not in by_shape:
-                by_shape[signature] = jitted.lower(shapes).compile()
+                compiled = jitted.lower(shapes).compile()
+                by_shape[signature] = lambda rows: _on_host(compiled(rows))
         return by_shape[signature]
 
     return for_shapes
 
 
-def named_leaves(learned: Any) -> Iterable[tuple[str, Any]]:
-    """The leaves of a learner's tables with names such as ``"learned.root.model"``."""
-    return [
-        (LEARNED + jax.tree_util.keystr(path), leaf)
-        for path, leaf in jax.tree_util.tree_flatten_with_path(learned)[0]
-        if leaf.size
-    ]
-
-
-def learned_shapes(env: Any, learner: Learner) -> Any:
-    """Shapes and types of a learner's tables, as a tree of `jax.ShapeDtypeStruct`."""
-    prepared = learner.prepare(env)
-    return jax.eval_shape(lambda: learner.init(env, prepared).tables)
+def _on_host(values: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The values of a chunk as NumPy arrays, ``steps`` as numbers."""
+    arrays = {name: np.asarray(value) for name, value in values.items()}
+    return arrays | {"steps": steps_of(arrays["steps"])}

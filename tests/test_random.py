@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrljax import random
+from hrljax.counting import Count, count
 from hrljax.random import WORD_BITS, WORD_RANGE, word_block
 
 KEY = jax.random.key(7)
@@ -20,17 +21,18 @@ POSITIONS = 20_000
 WORDS_PER_POSITION = 5  # two blocks of 64 bits: four words of high bits and one of low bytes
 
 
-@partial(jax.jit, static_argnums=(1, 2, 3))
-def words_at(start: jax.Array, length: int, num_words: int, stream: int = 0) -> jax.Array:
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def words_at(start: int, length: int, num_words: int, stream: int = 0) -> jax.Array:
     """``[length, num_words]`` words of successive positions of KEY."""
-    index = start + jnp.arange(length, dtype=jnp.uint32)
+    positions = start + np.arange(length, dtype=np.int64)
+    low, high = jnp.asarray(positions % 2**32, jnp.uint32), jnp.asarray(positions >> 32, jnp.uint32)
     key = random.key_words(KEY)
-    return jnp.stack(jax.vmap(lambda i: random.words(key, i, num_words, stream))(index), -1)
+    return jnp.stack(jax.vmap(lambda i, j: jnp.stack(random.words(key, i, num_words, stream, j)))(low, high))
 
 
 @pytest.fixture(scope="module")
 def sample() -> np.ndarray:
-    return np.asarray(words_at(jnp.uint32(0), POSITIONS, WORDS_PER_POSITION))
+    return np.asarray(words_at(0, POSITIONS, WORDS_PER_POSITION))
 
 
 def test_threefry_has_the_bits_of_jax():
@@ -60,13 +62,22 @@ def test_a_word_block_holds_the_words_of_its_positions(num_words: int):
     length = 40
 
     @jax.jit
-    def from_block(start: jax.Array) -> jax.Array:
+    def from_block(start: Count) -> jax.Array:
         block = word_block(random.key_words(KEY), start, length, num_words)
         return jnp.stack(jax.vmap(lambda i: jnp.stack(block[i]))(jnp.arange(length, dtype=jnp.int32)))
 
-    for start in (0, 1, 12_345, 2**32 - 7):  # the last one wraps, as positions do
-        start = jnp.uint32(start)
-        np.testing.assert_array_equal(from_block(start), words_at(start, length, num_words))
+    for start in (0, 1, 12_345, 2**32 - 7, 3 * 2**32 + 5):
+        np.testing.assert_array_equal(from_block(count(start)), words_at(start, length, num_words))
+
+
+def test_positions_beyond_32_bits_have_words_of_their_own():
+    drawn = [words_at(start, 10, 3) for start in (0, 2**32, 2**33, 2**47)]
+    assert len(np.unique(drawn)) == 4 * 10 * 3
+
+
+def test_more_words_than_a_position_has_are_refused():
+    with pytest.raises(ValueError, match="at most 682 random words, got 683"):
+        random.num_blocks(683)
 
 
 def test_a_word_block_keeps_bits_that_are_no_number():
@@ -77,11 +88,11 @@ def test_a_word_block_keeps_bits_that_are_no_number():
             jnp.arange(length, dtype=jnp.int32)
         )
     )
-    drawn = np.stack(read(jnp.uint32(0)), -1)
+    drawn = np.stack(read(count()), -1)
     exponent = (drawn >> 15) & 0xFF
     assert np.sum(exponent == 255) > 50
     assert np.sum(exponent == 0) > 50
-    np.testing.assert_array_equal(drawn, words_at(jnp.uint32(0), length, 2))
+    np.testing.assert_array_equal(drawn, words_at(0, length, 2))
 
 
 def test_words_lie_in_their_range(sample: np.ndarray):
@@ -108,9 +119,9 @@ def test_bits_of_one_position_are_uncorrelated(sample: np.ndarray):
 
 
 def test_streams_positions_and_keys_give_different_words():
-    first = np.asarray(words_at(jnp.uint32(0), 200, 5))
-    streams = [np.asarray(words_at(jnp.uint32(0), 200, 5, stream)) for stream in (1, 2, 127)]
-    later = np.asarray(words_at(jnp.uint32(200), 200, 5))
+    first = np.asarray(words_at(0, 200, 5))
+    streams = [np.asarray(words_at(0, 200, 5, stream)) for stream in (1, 2, 127)]
+    later = np.asarray(words_at(200, 200, 5))
     whole = np.concatenate([first, *streams, later])
     assert len(np.unique(whole, axis=0)) == len(whole)
     for other in (*streams, later):

@@ -11,6 +11,7 @@ import pytest
 
 import hrljax
 from hrljax import random
+from hrljax.counting import count
 from hrljax.envs import outcomes
 from hrljax.envs.base import concrete_params
 from hrljax.envs.bus import Bus
@@ -47,7 +48,7 @@ def steps(of: Simulator[Any], states: jax.Array, actions: jax.Array) -> Any:
 
     @jax.jit
     def run() -> Any:
-        block = of.block(random.key_words(jax.random.key(3)), jnp.uint32(5))
+        block = of.block(random.key_words(jax.random.key(3)), count(5))
         positions = jnp.arange(BLOCK, dtype=jnp.int32)
         step = jax.vmap(lambda s, a, i: (of.step(s, a, block, i), of.learner_words(block, i)))
         return step(states, actions, positions)

@@ -202,20 +202,32 @@ class Learner(Settings, ABC):
         return expected_return(env, self.greedy_policy(env, prepared, tables, zero), params, zero)
 
 
-def tabulated(learner: Learner, num_episodes: int) -> Learner:
+def tabulated(learner: Learner, num_episodes: int, first_episode: Any = 0) -> Learner:
     """The learner with every schedule replaced by the float32 table of its values, one per episode.
 
     Schedules are evaluated once, outside of compiled code, so that every mapping sees the same bits.
 
+    Args:
+        learner: the learner.
+        num_episodes: how many episodes it will learn from.
+        first_episode: how many it has learned from before; they are in the table too.
+
     Raises:
+        TypeError: there is a schedule, and `first_episode` is not known before compilation.
         ValueError: a schedule leaves the interval of its hyper-parameter; names the episode.
     """
     tables: dict[str, Any] = {}
     for field in dataclasses.fields(learner):
         schedule = getattr(learner, field.name)
         if field.metadata.get("schedule") and callable(schedule):
+            if isinstance(first_episode, Tracer):
+                raise TypeError(
+                    f"{type(learner).__name__}: {field.name} is a schedule, so the episodes of what training starts "
+                    "from must be a number that is known before compilation"
+                )
+            last = int(first_episode) + num_episodes
             with jax.ensure_compile_time_eval():
-                values = np.asarray(jax.vmap(schedule)(jnp.arange(num_episodes, dtype=jnp.int32)), np.float32)
+                values = np.asarray(jax.vmap(schedule)(jnp.arange(last, dtype=jnp.int32)), np.float32)
             for episode in (values.argmin(), values.argmax(), 0):
                 try:
                     _check_number(type(learner).__name__, field, values[episode])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.counting import count
 from hrljax.envs.base import TabularEnvironment
 from hrljax.learners import td
 from hrljax.learners.base import Experience, LearnerState, Moment
@@ -98,7 +99,7 @@ class DynaQ(StepSizeLearner):
     def _replayed(self, tables: DynaTables, key: tuple[Array, ...], prepared: int, moment: Moment) -> DynaTables:
         num_pairs, words_of = len(tables.visited), 1 if self.outcomes_kept == 1 else 2
         num_states = num_pairs // prepared
-        drawn = word_block((key[0], key[1]), jnp.uint32(0), _whole_registers(self.planning_steps), words_of)
+        drawn = word_block((key[0], key[1]), count(), _whole_registers(self.planning_steps), words_of)
 
         def replay(i: Array, values: Array) -> Array:
             words = drawn[i]

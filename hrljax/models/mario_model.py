@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.counting import one_more
 from hrljax.envs.mario.competition import COLUMNS, ROWS, Episode, camera_column
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.env import Mario
@@ -48,7 +49,7 @@ class Replay(NamedTuple):
     targets: Array  # [N + 1, 4] float32: displacement and next velocity
     reward: Array  # [N + 1] float32
     group: Array  # [N + 1] int32: the action; number of actions if the episode ended, with no next state
-    added: Array  # int32: transitions so far
+    added: Array  # int32: transitions so far, see `one_more`
 
 
 class Learned(NamedTuple):
@@ -204,7 +205,7 @@ class MarioModel:
             targets=lax.dynamic_update_slice(replay.targets, targets[None], (place, zero)),
             reward=lax.dynamic_update_slice(replay.reward, reward[None], (place,)),
             group=lax.dynamic_update_slice(replay.group, group[None], (place,)),
-            added=replay.added + jnp.asarray(live).astype(jnp.int32),
+            added=one_more(replay.added, self.rows, jnp.asarray(live)),
         )
 
     def fit(self, replay: Replay, num_actions: int) -> Learned:

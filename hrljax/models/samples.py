@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
+from hrljax.counting import one_more
 from hrljax.learners.base import Experience
 from hrljax.numerics import put_row, take
 
@@ -15,7 +16,7 @@ from hrljax.numerics import put_row, take
 class Samples(NamedTuple):
     """Outcomes seen, for P = S * A pairs ``state * A + action``; K slots, one after the other."""
 
-    seen: Array  # [P] int32: outcomes seen so far; more than K where old ones were overwritten
+    seen: Array  # [P] int32: outcomes seen so far (see `one_more`); more than K where old ones were overwritten
     after: Array  # [K * P] int32: next state, S where the episode terminated
     reward: Array  # [K * P] float32
 
@@ -40,7 +41,7 @@ def recorded(samples: Samples, pair: Array, step: Experience, num_states: int, l
     after = lax.select(live, after, take(samples.after, place))
     reward = lax.select(live, step.reward, take(samples.reward, place))
     return Samples(
-        put_row(samples.seen, pair, (seen + live.astype(jnp.int32))[None]),
+        put_row(samples.seen, pair, one_more(seen, num_slots, live)[None]),
         put_row(samples.after, place, after[None]),
         put_row(samples.reward, place, reward[None]),
     )

@@ -1,0 +1,99 @@
+"""The runs of a sweep that go on from runs of another one."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from hrljax.identity import differences
+from hrljax.labels import Labels
+from hrljax.learners.base import Learner
+from hrljax.start import LEARNED, Start, Startable, checked_start, learned_shapes, step_words, tree_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_EPISODES_BEFORE = "episodes_before"
+
+
+class Continuation(NamedTuple):
+    """Where the runs of a sweep start."""
+
+    episodes: int  # that all of them have learned from
+    rows: dict[str, Any]  # the other fields of `hrljax.start.Start`, NumPy arrays ``[runs, ...]``
+
+    def attributes(self) -> dict[str, Any]:
+        """Of the dataset."""
+        return {_EPISODES_BEFORE: self.episodes}
+
+    def digest(self) -> str:
+        """A digest of everything that the runs start with."""
+        digest = hashlib.sha256(str(self.episodes).encode())
+        for leaf in jax.tree.leaves(self.rows):
+            digest.update(f"{leaf.dtype.str}{leaf.shape}".encode() + np.ascontiguousarray(leaf).tobytes())
+        return digest.hexdigest()[:32]
+
+
+def episodes_of(dataset: xr.Dataset) -> int:
+    """The episodes that the runs of a sweep have learned from, those before it included."""
+    return int(dataset.attrs.get(_EPISODES_BEFORE, 0)) + int(dataset.attrs["num_episodes"])
+
+
+def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_episodes: int) -> Continuation:
+    """Where the runs of a sweep start, for `start` as of `hrljax.sweep`.
+
+    Raises:
+        TypeError, ValueError: `start` has not what every run needs.
+    """
+    if isinstance(start, Startable):
+        begin = checked_start(start, env, learner, num_episodes)
+        same = jax.tree.map(np.asarray, {"learned": begin.learned, "step_words": begin.step_words})
+        rows = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (labels.num_rows, *leaf.shape)), same)
+        return Continuation(int(begin.episodes), rows)
+    import xarray as xr  # here, because importing it takes longer than the rest of hrljax
+
+    if not isinstance(start, xr.Dataset):
+        raise TypeError(
+            f"start must be a dataset of hrljax.sweep(..., keep_learned=True) or a hrljax.Learned, got {start!r}"
+        )
+    runs = _runs(start, labels, {"environment": env.name, "learner": learner.name})
+    named = {str(name): _rows(runs[name], labels) for name in runs if str(name).startswith(LEARNED)}
+    learned = tree_of(learned_shapes(env, learner), named, (labels.num_rows,))
+    rows = {"learned": learned, "step_words": step_words(_rows(runs["steps"], labels))}
+    first = Start(episodes=episodes_of(start), **jax.tree.map(lambda leaf: leaf[0], rows))
+    checked_start(first, env, learner, num_episodes)
+    return Continuation(first.episodes, rows)
+
+
+def _runs(start: xr.Dataset, labels: Labels, names: dict[str, str]) -> xr.Dataset:
+    """Of the runs in a dataset, those that the runs of a sweep start from."""
+    wrong = differences({name: start.attrs.get(name) for name in names}, names)
+    if wrong:
+        raise ValueError(f"start is of another sweep: {'; '.join(wrong)}")
+    if not any(str(name).startswith(LEARNED) for name in start):
+        raise ValueError("start has no tables; sweep with keep_learned=True")
+    wanted = {str(dim): labels.coordinates.get(str(dim)) for dim in start["steps"].dims}
+    for dim, values in wanted.items():
+        if values is None:
+            raise ValueError(f"start has an axis {dim!r}, which this sweep has not; select one of its values first")
+        missing = np.setdiff1d(values, start[dim].values)
+        if missing.size:
+            raise ValueError(f"start has no runs with {dim} = {missing[0]:g}; it has {start[dim].values.tolist()}")
+    runs = start.sel(wanted)
+    if not np.isfinite(runs["steps"].values).all():
+        raise ValueError("start has runs that are not finished; finish that sweep first")
+    return runs
+
+
+def _rows(values: xr.DataArray, labels: Labels) -> np.ndarray:
+    """The values of the run that each run of a sweep starts from, ``[rows, ...]``.
+
+    Runs that differ in an axis that the values do not have start from the same one.
+    """
+    whole = values.expand_dims({d: n for d, n in zip(labels.dims, labels.shape, strict=True) if d not in values.dims})
+    inner = [dim for dim in values.dims if dim not in labels.dims]
+    array = whole.transpose(*labels.dims, *inner).values
+    return array.reshape(labels.num_rows, *array.shape[len(labels.dims) :])
