@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 
 class Count(NamedTuple):
@@ -22,6 +22,10 @@ class Count(NamedTuple):
         """What was added since the count was `other`."""
         borrow = (self.low < other.low).astype(jnp.uint32)
         return Count(self.low - other.low, self.high - other.high - borrow)
+
+    def room(self, most: int) -> Array:
+        """How much can be added until the low half is 0 again: from 1 to `most`, int32."""
+        return lax.min(~self.low, np.uint32(most - 1)).astype(jnp.int32) + 1
 
     def as_float(self) -> Array:
         """The nearest float32, or one beside it."""

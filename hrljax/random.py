@@ -133,13 +133,13 @@ class WordBlock:
 def word_block(key: tuple[Array, Array], start: Count, length: int, num_words: int) -> WordBlock:
     """The words of `length` successive positions, computed at once as short vectors.
 
-    ``word_block(key, start, length, n)[i]`` equals the `words` of position ``start + i``; a vector
-    of positions costs little more than one, so a loop takes its words from a block.
+    ``word_block(key, start, length, n)[i]`` equals the `words` of position ``start + i``, up to the
+    next multiple of 2^32 (`Count.room`); a vector of positions costs little more than one, so a loop
+    takes its words from a block.
     """
     lanes = num_blocks(num_words)
-    position = start.plus(jnp.asarray(np.tile(np.arange(length, dtype=np.uint32), lanes)))
-    index = position.low
-    lane = _with_high(jnp.asarray(np.repeat(np.arange(lanes, dtype=np.uint32), length)), position.high)
+    index = start.low + np.tile(np.arange(length, dtype=np.uint32), lanes)
+    lane = _with_high(jnp.asarray(np.repeat(np.arange(lanes, dtype=np.uint32), length)), start.high)
     # XLA would compute every round once for each of the two results. As one array of pairs,
     # for which complex64 is the only type, they are computed once; no arithmetic touches them.
     x0, x1 = threefry_2x32(key, (index, lane))

@@ -285,18 +285,18 @@ class _Trainer:
 
     def _block(self, progress: _Progress, end: Array) -> _Progress:
         """Up to a block of steps, none after `end` episodes."""
-        words = self.simulator.block(self.key, progress.steps)
+        words, most = self.simulator.block(self.key, progress.steps), progress.steps.room(BLOCK)
 
         def alone(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """Steps to the end of the episode or of the block."""
-            loop, taken = self._stretch(*carry, words, jnp.bool_(True))
+            loop, taken = self._stretch(*carry, most, words, jnp.bool_(True))
             small = lax.cond(loop.is_over, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
             return _with(loop, small), taken
 
         def in_lockstep(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """One step, which other runs take at the same time, and then perhaps the next beginning."""
-            live = carry[0].episode < end
-            loop, taken = self._stretch(*carry, words, live)
+            live = (carry[0].episode < end) & (carry[1] < most)
+            loop, taken = self._stretch(*carry, most, words, live)
             small = _select(loop.is_over, _small(self._next_episode(loop)), _small(loop))
             return _with(loop, _select(live, small, _small(carry[0]))), lax.select(live, taken, carry[1])
 
@@ -305,16 +305,16 @@ class _Trainer:
         if self.lockstep:
             loop, taken = lax.fori_loop(0, BLOCK, in_lockstep, start)
         else:
-            loop, taken = lax.while_loop(lambda c: (c[1] < BLOCK) & (c[0].episode < end), alone, start)
+            loop, taken = lax.while_loop(lambda c: (c[1] < most) & (c[0].episode < end), alone, start)
         sums = progress.sums.plus(jnp.concatenate([loop.reward[None], loop.events]))
         return _Progress(loop, progress.steps.plus(taken.astype(jnp.uint32)), sums)
 
-    def _stretch(self, loop: _Loop, taken: Array, words: Any, live: Array) -> tuple[_Loop, Array]:
+    def _stretch(self, loop: _Loop, taken: Array, most: Array, words: Any, live: Array) -> tuple[_Loop, Array]:
         """Steps to the end of the episode or of the block; in lockstep one, or none if not `live`.
 
-        `taken` counts those of the block.
+        `taken` counts those of the block, of at most `most`.
         """
-        counter, left = self.simulator.counter, jnp.minimum(BLOCK - taken, self.params.max_steps - loop.time)
+        counter, left = self.simulator.counter, jnp.minimum(most - taken, self.params.max_steps - loop.time)
         moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
         start = _Stretch(loop.learner, loop.state, loop.reward, counter.start(taken, left, loop.events))
         if self.lockstep:

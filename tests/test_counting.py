@@ -32,6 +32,11 @@ def test_a_count_carries(start: int, more: int):
     assert float(after.as_float()) == pytest.approx(start + more, rel=2e-7)
 
 
+@pytest.mark.parametrize("left", [1, 7, 8, 9, 2**31, 2**32])
+def test_a_count_has_room_until_its_low_half_is_full(left: int):
+    assert int(count(5 * 2**32 - left).room(8)) == min(left, 8)
+
+
 @settings(deadline=None, max_examples=20)
 @given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=50))
 def test_a_total_loses_nothing(numbers: list[float]):
