@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax import random
+from hrljax.envs import contract
 from hrljax.envs.base import Environment, TabularEnvironment
 from hrljax.envs.outcomes import OutcomeTable, numbered_step, outcome_table
 from hrljax.numerics import stage, take
@@ -58,7 +59,7 @@ class _Computed(Simulator[Amounts]):
 
     def step(self, state: Any, action: Array, block: WordBlock, position: Array) -> Step:
         words = block[position][: self.env.num_words]
-        after, reward, terminated, info = self.env.transition(state, action, words, self.params)
+        after, reward, terminated, info = contract.transition(self.env, state, action, words, self.params)
         change = self.counter.change(terminated, [info[name] for name in self.env.metrics])
         return Step(after, reward, terminated, change)
 
