@@ -8,6 +8,7 @@ from jax import Array, lax
 
 from hrljax import random
 from hrljax.counting import Count
+from hrljax.envs import contract
 from hrljax.envs.base import Environment, TabularEnvironment
 from hrljax.envs.outcomes import OutcomeTable, numbered_step, outcome_table
 from hrljax.numerics import stage, take
@@ -59,7 +60,7 @@ class _Computed(Simulator[Amounts]):
 
     def step(self, state: Any, action: Array, block: WordBlock, position: Array) -> Step:
         words = block[position][: self.env.num_words]
-        after, reward, terminated, info = self.env.transition(state, action, words, self.params)
+        after, reward, terminated, info = contract.transition(self.env, state, action, words, self.params)
         change = self.counter.change(terminated, [info[name] for name in self.env.metrics])
         return Step(after, reward, terminated, change)
 

@@ -21,6 +21,7 @@ from jax import Array
 from hrljax import batch, identity, random
 from hrljax.continuation import Continuation, continuation
 from hrljax.envs.base import concrete_params
+from hrljax.envs.checks import check_before_training
 from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
 from hrljax.start import Startable, learned_shapes, named_leaves
@@ -96,7 +97,8 @@ def sweep(
         ``complete`` is 0.
 
     Raises:
-        TypeError, ValueError: a bad argument, or a store of another sweep; before anything is compiled.
+        TypeError, ValueError: a bad argument, an environment that is not as `hrljax.check` wants it, or a
+            store of another sweep; before anything is compiled.
         FileExistsError: there is something else at `store`.
         OSError: the store cannot be written; its finished chunks are intact.
     """
@@ -240,6 +242,8 @@ def check(
     columns = _checked_axes(learner, params, axes or {})
     if evaluate_every is not None and any(name.startswith(ENV_PREFIX) for name in columns):
         raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
+    of_env = {n.removeprefix(ENV_PREFIX): values for n, values in columns.items() if n.startswith(ENV_PREFIX)}
+    check_before_training(env, params, of_env)
     bin_size = bin_size or default_bin_size(num_episodes)
     if evaluate_every is not None and evaluate_every > len(bin_sizes(num_episodes, bin_size)):
         raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")

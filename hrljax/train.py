@@ -11,7 +11,9 @@ from jax.core import Tracer
 
 from hrljax import random, tally
 from hrljax.counting import Count, Total, count, total
+from hrljax.envs import contract
 from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
+from hrljax.envs.checks import check_before_training, check_declarations
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
 from hrljax.numerics import opaque_zero
 from hrljax.simulation import simulator
@@ -155,10 +157,12 @@ def train(
             a batch take their steps together; False suits one run.
 
     Raises:
-        TypeError, ValueError: a bad argument, before anything is compiled.
+        TypeError, ValueError: a bad argument, or an environment that is not as `hrljax.check` wants it;
+            before anything is compiled.
     """
     check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
     params = concrete_params(env.default_params if params is None else params)
+    check_before_training(env, params, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
     learner = tabulated(learner, num_episodes, 0 if begin is None else begin.episodes)
     trainer = _Trainer(env, learner, key, params, num_episodes, lockstep, begin)
@@ -173,6 +177,7 @@ def check_arguments(
         raise TypeError(f"env must be an environment such as hrljax.make('Bus'), got {env!r}")
     if not isinstance(learner, Learner):
         raise TypeError(f"learner must be a learner such as hrljax.QLearning(), got {learner!r}")
+    check_declarations(env)
     if isinstance(env, TabularEnvironment):
         if env.num_states >= 1 << (30 - len(env.metrics)):
             raise ValueError(f"env has {env.num_states} states, too many to number them together with its events")
@@ -361,9 +366,9 @@ class _Trainer:
         """The learner's control and the first state of an episode."""
         own = self.env.num_initial_words
         words = random.words(self.key, episode.astype(jnp.uint32), own + self.learner.num_begin_words, _BEGIN_STREAM)
-        first = self.env.initial(words[:own], self.params)
+        first = contract.initial(self.env, words[:own], self.params)
         if isinstance(self.env, TabularEnvironment):
-            first = self.env.encode(first)
+            first = contract.encode(self.env, first)
         # The last episode is followed by a beginning that no one uses; schedules end with the run.
         moment = moment._replace(episode=jnp.minimum(episode, self.first_episode + self.num_episodes - 1))
         return self.learner.begin(self.prepared, tables, first, words[own:], moment), first

@@ -12,14 +12,15 @@ from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
 import gymnasium
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
 
 from hrljax import random
-from hrljax.envs.outcomes import WordKinds, enumerate_outcomes
+from hrljax.envs import contract
+from hrljax.envs.checks import check_types
+from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, first_numbers
 from hrljax.hierarchy import Hierarchy
 from hrljax.solvers.model import Model
 
@@ -86,6 +87,8 @@ class Environment(ABC, Generic[State, Params]):
     """Random words that one `transition` uses."""
     num_initial_words: ClassVar[int]
     """Random words that one `initial` uses."""
+    is_tabular: ClassVar[bool] = False
+    """Whether it is a `TabularEnvironment`, whose states have numbers."""
     renderer: ClassVar[str | None] = None
     """A module with ``text(env, state)`` and ``rgb_array(env, state)``; loaded with the first picture."""
 
@@ -109,9 +112,10 @@ class Environment(ABC, Generic[State, Params]):
         """One step, deterministic in `num_words` words.
 
         Returns:
-            next state; reward (float32); terminated (bool): the episode ended in the environment
-            itself, not by a limit of steps; info: whether each event in `metrics` happened (bool; or,
-                unless the environment is tabular, how much of it, float32).
+            next state; reward (float32, or whatever number, which is taken as one); terminated (bool):
+            the episode ended in the environment itself, not by a limit of steps; info: whether each
+            event in `metrics` happened (bool; or, unless the environment is tabular, how much of it,
+            float32).
         """
 
     @abstractmethod
@@ -146,7 +150,7 @@ class Environment(ABC, Generic[State, Params]):
     def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
         """Starts an episode: ``obs, state``. Consumes `key`."""
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_initial_words, _RESET_STREAM)
-        state = self.initial(drawn, self._numbers(params))
+        state = contract.initial(self, drawn, self._numbers(params))
         return self.observation(state), state
 
     def step(
@@ -159,7 +163,8 @@ class Environment(ABC, Generic[State, Params]):
         """
         numbers = self._numbers(params)
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_words)
-        state, reward, terminated, info = self.transition(state, jnp.asarray(action, jnp.int32), drawn, numbers)
+        number = jnp.asarray(action, jnp.int32)
+        state, reward, terminated, info = contract.transition(self, state, number, drawn, numbers)
         truncated = (state.time >= numbers.max_steps) & ~terminated
         return self.observation(state), state, reward, terminated, truncated, info
 
@@ -169,6 +174,8 @@ class Environment(ABC, Generic[State, Params]):
 
 class TabularEnvironment(Environment[State, Params]):
     """An environment whose states have numbers: ``encode`` and ``decode`` convert, time excluded."""
+
+    is_tabular = True
 
     @property
     @abstractmethod
@@ -203,7 +210,7 @@ class TabularEnvironment(Environment[State, Params]):
 
     def observation(self, state: State) -> Array:
         """The number of the state (int32 scalar)."""
-        return self.encode(state)
+        return contract.encode(self, state)
 
     @property
     def observation_space(self) -> gymnasium.spaces.Discrete:
@@ -212,19 +219,26 @@ class TabularEnvironment(Environment[State, Params]):
     def model(self, params: Params | None = None) -> Model:
         """The exact model, by running `transition` on one word of every kind from every state.
 
+        Numbers that belong to no state that occurs may have outcomes that make no sense (a reward that
+        is not finite, a next state without a number); then the episode ends there, with reward 0.
+
         Raises:
-            ValueError: `word_cuts` lacks a cut.
+            TypeError, ValueError: a method returns what it must not; the message names it, and the
+                state and the action where it did. `word_cuts` may lack a cut.
         """
         numbers = self._numbers(params)
-        kinds = WordKinds(self.word_cuts(numbers))
-        found = enumerate_outcomes(self, numbers, kinds)
-        return Model.merged(found.next_state, found.reward, (found.flags & 1) == 1, kinds.weights())
+        check_types(self, numbers)
+        kinds = WordKinds(contract.word_cuts(self, numbers))
+        outcomes = enumerate_outcomes(self, numbers, kinds)
+        return Model.merged(outcomes.next_state, outcomes.reward, (outcomes.flags & 1) == 1, kinds.weights())
 
     def initial_distribution(self, params: Params | None = None) -> np.ndarray:
-        """Probability of each state number at the start of an episode, float64 ``[S]``."""
+        """Probability of each state number at the start of an episode, float64 ``[S]``.
+
+        Raises:
+            TypeError, ValueError: as `model`, of `initial` and `initial_word_cuts`.
+        """
         numbers = self._numbers(params)
-        kinds = WordKinds(self.initial_word_cuts(numbers))
-        with jax.ensure_compile_time_eval():
-            firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=kinds.count)
-            states = firsts(kinds.first_words())
-        return np.bincount(np.asarray(states), weights=kinds.weights(), minlength=self.num_states)
+        check_types(self, numbers)
+        kinds = WordKinds(contract.initial_word_cuts(self, numbers))
+        return np.bincount(first_numbers(self, numbers, kinds), weights=kinds.weights(), minlength=self.num_states)

@@ -1,8 +1,9 @@
 """Everything that may come of an action, by running an environment on one random word of every kind."""
 
 import math
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,9 @@ from jax import Array
 from jax.core import Tracer
 
 from hrljax import random
+from hrljax.envs import contract
+from hrljax.envs.occurring import Outcomes, check_outcomes, check_range
+from hrljax.envs.once import once_per_environment
 from hrljax.numerics import stage, take
 
 _MOST_CUTS = 64
@@ -18,13 +22,16 @@ _MOST_CUTS = 64
 _MOST_ENTRIES = 1 << 20
 """A larger table does not stay in a core's cache, and takes long to make."""
 
+_RANDOM_BEGINNINGS = 1 << 14
+
 
 class WordKinds:
     """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
 
     def __init__(self, cuts: tuple[tuple[Any, ...], ...]):
         """Kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
-        thresholds = ([int(random.threshold(cut)) for cut in word_cuts] for word_cuts in cuts)
+        # A cut above 1 is one that no word reaches.
+        thresholds = ([min(int(random.threshold(cut)), random.WORD_RANGE) for cut in word_cuts] for word_cuts in cuts)
         # Where each word's kinds begin, and where the last one ends.
         self._edges = [np.unique([0, *word_thresholds, random.WORD_RANGE]) for word_thresholds in thresholds]
 
@@ -62,49 +69,136 @@ def _combined(words: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(grid.ravel().astype(np.uint32) for grid in np.meshgrid(*words, indexing="ij"))
 
 
-class Outcomes(NamedTuple):
-    """What every action leads to in every state, for each of N kinds of random words."""
-
-    next_state: np.ndarray  # [S, A, N] int32
-    reward: np.ndarray  # [S, A, N] float32
-    flags: np.ndarray  # [S, A, N] int32: bit 0, the episode terminates; bit i, event i - 1 happens
-
-
 def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
     """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`.
 
     Raises:
-        ValueError: two words of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
+        ValueError: an outcome of a state that occurs makes no sense, see `check_outcomes`, or two words
+            of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
     """
-
-    over_words = jax.vmap(partial(numbered_step, env, params), (None, None, 0), axis_size=kinds.count)
-    over_actions = jax.vmap(over_words, (None, 0, None))
-    over_states = jax.jit(jax.vmap(over_actions, (0, None, None)))
+    steps = jax.jit(partial(_numbered_steps, env, kinds.count, params))
+    ends = kinds.first_words(), kinds.last_words()
     with jax.ensure_compile_time_eval():
-        states = jnp.arange(env.num_states, dtype=jnp.int32)
-        actions = jnp.arange(env.num_actions, dtype=jnp.int32)
-        ends = kinds.first_words(), kinds.last_words()
-        found, by_last = (Outcomes(*map(np.asarray, over_states(states, actions, words))) for words in ends)
-    differs = np.any([one != other for one, other in zip(found, by_last, strict=True)], axis=0)
+        outcomes, by_last = (Outcomes(*map(np.asarray, steps(*_pairs(env), words))) for words in ends)
+    outcomes, occurs = check_outcomes(env, outcomes, _some_first_numbers(env, params), _renumbered(env))
+    differs = np.any([one != other for one, other in zip(outcomes, by_last, strict=True)], axis=0)
+    differs &= occurs[:, None, None]
     if differs.any():
         state, action, kind = (int(i) for i in np.argwhere(differs)[0])
-        low, high = ([int(word[kind]) for word in words] for words in ends)
         raise ValueError(
             f"{env.name}: word_cuts lacks a probability at which the meaning of a word changes: from state {state}, "
-            f"action {env.action_names[action]!r} leads elsewhere with the words {low} than with {high}"
+            f"action {env.action_names[action]!r} leads elsewhere {_words_of_kind(ends, kind)}"
         )
-    return found
+    return outcomes
+
+
+def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
+    """Raises for an outcome that makes no sense under any of several `params`, as `enumerate_outcomes` does.
+
+    Compiles once for all of them. Words that differ within their kind are no error: this is for steps
+    that are computed, not looked up.
+    """
+    kinds = [WordKinds(contract.word_cuts(env, params)) for params in points]
+    initial_kinds = [WordKinds(contract.initial_word_cuts(env, params)) for params in points]
+    most, most_initial = (max(of_point.count for of_point in of) for of in (kinds, initial_kinds))
+    limit = points[0].max_steps
+
+    @jax.jit
+    def steps(numbers: Any, words: tuple[Array, ...]) -> Any:
+        return _numbered_steps(env, most, numbers._replace(max_steps=limit), *_pairs(env), words)
+
+    @jax.jit
+    def firsts(numbers: Any, words: tuple[Array, ...]) -> Array:
+        return _numbered_firsts(env, most_initial, numbers._replace(max_steps=limit), words)
+
+    renumbered = _renumbered(env)
+    with jax.ensure_compile_time_eval():
+        for params, of_step, of_initial in zip(points, kinds, initial_kinds, strict=True):
+            outcomes = Outcomes(*map(np.asarray, steps(params, _padded(of_step.first_words(), most))))
+            begins = np.asarray(firsts(params, _padded(of_initial.first_words(), most_initial)))
+            check_outcomes(env, outcomes, begins, renumbered)
+
+
+def first_numbers(env: Any, params: Any, kinds: WordKinds) -> np.ndarray:
+    """``[N]`` int32: the number of the first state, for each kind of the words of `initial`.
+
+    Raises:
+        ValueError: a number is not that of a state, or `initial_word_cuts` lacks a cut.
+    """
+    firsts = jax.jit(partial(_numbered_firsts, env, kinds.count, params))
+    ends = kinds.first_words(), kinds.last_words()
+    with jax.ensure_compile_time_eval():
+        numbers, by_last = (np.asarray(firsts(words)) for words in ends)
+    differs = np.flatnonzero(numbers != by_last)
+    if len(differs):
+        raise ValueError(
+            f"{env.name}: initial_word_cuts lacks a probability at which the meaning of a word changes: "
+            f"initial leads elsewhere {_words_of_kind(ends, differs[0])}"
+        )
+    check_range(env, numbers)
+    return numbers
+
+
+def _some_first_numbers(env: Any, params: Any) -> np.ndarray:
+    """The numbers of all first states; where the kinds of words are too many, of those that random words lead to."""
+    kinds = WordKinds(contract.initial_word_cuts(env, params))
+    if kinds.count <= _MOST_ENTRIES:
+        return first_numbers(env, params, kinds)
+    shape = env.num_initial_words, _RANDOM_BEGINNINGS
+    words = tuple(np.random.default_rng(0).integers(random.WORD_RANGE, size=shape, dtype=np.uint32))
+    with jax.ensure_compile_time_eval():
+        return np.asarray(jax.jit(partial(_numbered_firsts, env, _RANDOM_BEGINNINGS, params))(words))
+
+
+def _words_of_kind(ends: tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]], kind: int) -> str:
+    low, high = ([int(word[kind]) for word in words] for words in ends)
+    return f"with the words {low} than with {high}"
+
+
+def _padded(words: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:
+    return tuple(np.resize(word, count) for word in words)
+
+
+def _pairs(env: Any) -> tuple[Array, Array]:
+    """All states ``[S]`` and all actions ``[A]``, int32."""
+    return jnp.arange(env.num_states, dtype=jnp.int32), jnp.arange(env.num_actions, dtype=jnp.int32)
+
+
+def _renumbered(env: Any) -> np.ndarray:
+    """``[S]`` int32: the number of the state that each number means."""
+    again = jax.jit(jax.vmap(lambda number: contract.encode(env, contract.decode(env, number))))
+    with jax.ensure_compile_time_eval():
+        return np.asarray(again(_pairs(env)[0]))
+
+
+def _numbered_firsts(env: Any, count: int, params: Any, words: tuple[Array, ...]) -> Array:
+    """``[N]``: the numbers of the first states that words of `initial`, each ``[N]``, lead to."""
+
+    def first(words: tuple[Array, ...]) -> Array:
+        return contract.encode(env, contract.initial(env, words, params))
+
+    return jax.vmap(first, axis_size=count)(words)
+
+
+def _numbered_steps(
+    env: Any, count: int, params: Any, states: Array, actions: Array, words: tuple[Array, ...]
+) -> tuple[Array, Array, Array]:
+    """`numbered_step` from states ``[S]`` by actions ``[A]`` with words, each ``[N]``: arrays ``[S, A, N]``."""
+    over_words = jax.vmap(partial(numbered_step, env, params), (None, None, 0), axis_size=count)
+    over_actions = jax.vmap(over_words, (None, 0, None))
+    return jax.vmap(over_actions, (0, None, None))(states, actions, words)
 
 
 def numbered_step(
     env: Any, params: Any, state: Array, action: Array, words: tuple[Array, ...]
 ) -> tuple[Array, Array, Array]:
     """One step of a tabular environment in the numbers of its states: next state, reward, flags as in `Outcomes`."""
-    after, reward, terminated, info = env.transition(env.decode(state), action, words, params)
+    before = contract.decode(env, state)
+    after, reward, terminated, info = contract.transition(env, before, action, words, params)
     flags = terminated.astype(jnp.int32)
     for i, name in enumerate(env.metrics, start=1):
         flags |= info[name].astype(jnp.int32) << i
-    return env.encode(after), reward, flags
+    return contract.encode(env, after), reward, flags
 
 
 class OutcomeTable:
@@ -154,18 +248,13 @@ def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
 
     Made once in a process for an environment and its numbers.
     """
-    numbers = params._replace(max_steps=0)
-    if any(isinstance(number, Tracer) for number in numbers):
+    if any(isinstance(number, Tracer) for number in params):
         return None
-    try:
-        hash(env)
-    except TypeError:
-        return _table(env, numbers)
-    return _cached_table(env, numbers)
+    return _cached_table(env, params)
 
 
 def _table(env: Any, params: Any) -> OutcomeTable | None:
-    cuts = env.word_cuts(params)
+    cuts = contract.word_cuts(env, params)
     if sum(map(len, cuts)) > _MOST_CUTS:
         return None
     kinds = WordKinds(cuts)
@@ -175,4 +264,10 @@ def _table(env: Any, params: Any) -> OutcomeTable | None:
     return table if table.fits else None
 
 
-_cached_table = lru_cache(maxsize=32)(_table)
+def few_outcomes(env: Any, params: Any) -> bool:
+    """Whether a tabular environment has few enough outcomes and beginnings to look at each of them."""
+    outcomes = env.num_states * env.num_actions * WordKinds(contract.word_cuts(env, params)).count
+    return max(outcomes, WordKinds(contract.initial_word_cuts(env, params)).count) <= _MOST_ENTRIES
+
+
+_cached_table = once_per_environment(32)(_table)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax.envs import contract
 from hrljax.envs.base import TabularEnvironment
 from hrljax.hierarchy import Hierarchy, Predicate
 from hrljax.planners.abstract_dp import DecisionPoints
@@ -44,7 +45,7 @@ def over_states(predicate: Predicate, env: TabularEnvironment[Any, Any]) -> np.n
     """The value of a function of one state at every state number, ``[S]``."""
     with jax.ensure_compile_time_eval():
         numbers = jnp.arange(env.num_states, dtype=jnp.int32)
-        return np.asarray(jax.vmap(lambda index: predicate(env.decode(index)))(numbers))
+        return np.asarray(jax.vmap(lambda index: predicate(contract.decode(env, index)))(numbers))
 
 
 @lru_cache(maxsize=64)

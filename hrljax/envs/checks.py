@@ -1,0 +1,149 @@
+"""What is checked of an environment before anything is compiled for it."""
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+
+from hrljax.envs import contract
+from hrljax.envs.once import once_per_environment
+from hrljax.envs.outcomes import check_computed_outcomes, few_outcomes, outcome_table
+from hrljax.envs.sampled import check_sampled_steps
+
+_MOST_POINTS = 16
+"""Combinations of swept numbers that are looked at."""
+RESERVED = ("return", "length", "truncated", "steps", "greedy_return", "learned", "seed", "episode", "checkpoint")
+"""Names of results that no event may have."""
+
+
+def check_before_training(
+    env: Any, params: Any, swept: Mapping[str, Sequence[float]] | None = None, sample: bool = True
+) -> None:
+    """Raises for an environment of a user's own that cannot be trained in, or only with senseless results.
+
+    The library's own environments are checked by its tests, for some take long to trace.
+
+    Args:
+        env: the environment.
+        params: its numbers, as from `concrete_params`; what is traced is not known.
+        swept: values by the names of numbers that differ from run to run.
+        sample: whether to act at random where outcomes are too many to look at each.
+
+    Raises:
+        TypeError, ValueError: as `hrljax.check`.
+    """
+    if type(env).__module__.partition(".")[0] == "hrljax":
+        return
+    swept = swept or {}
+    check_types(env, params._replace(**{name: jax.ShapeDtypeStruct((), jnp.float32) for name in swept}))
+    if any(isinstance(number, Tracer) for number in params):
+        return
+    values = [tuple(map(np.float32, column)) for column in swept.values()]
+    points = [params._replace(**dict(zip(swept, point, strict=True))) for point in product(*values)]
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int))
+    check_values(env, tuple(points[i] for i in chosen), sample)
+
+
+@once_per_environment(64)
+def check_values(env: Any, points: tuple[Any, ...], sample: bool) -> None:
+    """Raises for a state, a reward or an event that makes no sense, under any of several `params`.
+
+    Looks at every outcome where they are few, else at what comes of acting at random (if `sample`).
+    """
+    if env.is_tabular:
+        if len(points) == 1 and outcome_table(env, points[0]) is not None:
+            return
+        if all(few_outcomes(env, point) for point in points):
+            check_computed_outcomes(env, points)
+            return
+    if sample:
+        check_sampled_steps(env, points)
+
+
+def check_declarations(env: Any) -> None:
+    """Raises unless the attributes of an environment are what `hrljax.envs.base` says."""
+    owner = type(env).__name__
+    if not isinstance(name := getattr(env, "name", None), str):
+        raise TypeError(f"{owner}: name must be a str, got {name!r}")
+    for option in ("action_names", "metrics"):
+        names = getattr(env, option, None)
+        if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
+            raise TypeError(f"{owner}: {option} must be a tuple of names, got {names!r}")
+    if not env.action_names:
+        raise ValueError(f"{owner}: action_names must name at least one action, got {env.action_names!r}")
+    for name in env.metrics:
+        if name in RESERVED or list(env.metrics).count(name) > 1:
+            raise ValueError(f"{owner}: metrics must be different names, none of {', '.join(RESERVED)}; got {name!r}")
+    for option, least in (("num_words", 0), ("num_initial_words", 0), *([("num_states", 1)] if env.is_tabular else [])):
+        count = getattr(env, option, None)
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < least:
+            raise TypeError(f"{owner}: {option} must be an integer of at least {least}, got {count!r}")
+
+
+def check_types(env: Any, params: Any) -> None:
+    """Raises unless an environment's methods run compiled and return what `hrljax.envs.base` says.
+
+    Args:
+        env: the environment.
+        params: its numbers; what is traced or a `jax.ShapeDtypeStruct` is not known.
+    """
+    unknown = {n: jax.ShapeDtypeStruct(v.shape, v.dtype) for n, v in params._asdict().items() if _is_unknown(v)}
+    _check_types(env, params._replace(**unknown))
+
+
+def _is_unknown(value: Any) -> bool:
+    return isinstance(value, Tracer | jax.ShapeDtypeStruct)
+
+
+@once_per_environment(256)
+def _check_types(env: Any, params: Any) -> None:
+    check_declarations(env)
+    word, number = jax.ShapeDtypeStruct((), jnp.uint32), jax.ShapeDtypeStruct((), jnp.int32)
+
+    def use(unknown: Any, words: Any, initial_words: Any, action: Array, index: Array) -> None:
+        numbers = params._replace(**unknown)
+        first = contract.initial(env, initial_words, numbers)
+        _check_time(env, first)
+        if env.is_tabular:
+            before = contract.decode(env, index)
+            _check_alike(f"{env.name}: decode", first, before)
+        else:
+            before = first
+        after, *_ = contract.transition(env, before, action, words, numbers)
+        _check_alike(f"{env.name}: transition", first, after)
+        if env.is_tabular:
+            contract.encode(env, after)
+
+    unknown = {name: value for name, value in params._asdict().items() if _is_unknown(value)}
+    jax.eval_shape(use, unknown, (word,) * env.num_words, (word,) * env.num_initial_words, number, number)
+
+
+def _check_time(env: Any, state: Any) -> None:
+    time = getattr(state, "time", None)
+    if not isinstance(time, jax.Array) or time.shape or time.dtype != jnp.int32:
+        got = contract.described(time)
+        raise TypeError(f"{env.name}: every state must have a field time (int32, steps taken), got {got} from initial")
+
+
+def _check_alike(where: str, first: Any, other: Any) -> None:
+    """Raises unless two states have the same fields of the same types."""
+    if jax.tree.structure(first) != jax.tree.structure(other):
+        raise TypeError(f"{where} must return {_fields(first)}, as initial does, got {_fields(other)}")
+    leaves = jax.tree_util.tree_flatten_with_path(first)[0]
+    for (path, expected), got in zip(leaves, jax.tree.leaves(other), strict=True):
+        if (expected.shape, expected.dtype) != (got.shape, got.dtype):
+            field = jax.tree_util.keystr(path).lstrip(".")
+            raise TypeError(
+                f"{where} must return a state with {contract.described(expected)} as {field}, as initial does, "
+                f"got {contract.described(got)}"
+            )
+
+
+def _fields(state: Any) -> str:
+    paths = [jax.tree_util.keystr(path).lstrip(".") for path, _ in jax.tree_util.tree_flatten_with_path(state)[0]]
+    return f"a {type(state).__name__} of {', '.join(paths) or 'nothing'}"
