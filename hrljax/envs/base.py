@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax import random
+from hrljax import checks, random
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes
 from hrljax.hierarchy import Hierarchy
 from hrljax.solvers.model import Model
@@ -35,31 +35,43 @@ def concrete_params(params: Any) -> Any:
     Arithmetic on them then gives the bits that it gives on traced arrays.
 
     Raises:
+        TypeError: a field is no number, or ``max_steps`` no integer.
         ValueError: a number is not finite, a field ``*_probability`` is outside [0, 1], or
-            ``max_steps`` is no integer of at least 1.
+            ``max_steps`` is not from 1 to 2**31 - 1.
     """
     checked = {}
-    for name, value in params._asdict().items():
-        if isinstance(value, Tracer):
-            checked[name] = value
-        elif name == "max_steps":
-            if isinstance(value, bool) or int(value) != value or value < 1:
-                raise ValueError(f"env.max_steps must be an integer of at least 1, got {value!r}")
-            checked[name] = int(value)
+    for field, value in params._asdict().items():
+        name = f"env.{field}"
+        if field == "max_steps":
+            checked[field] = checks.integer(name, value, 1, may_be_traced=True)
         else:
-            low, high = (0.0, 1.0) if name.endswith("probability") else (-np.inf, np.inf)
-            if not (low <= float(value) <= high and np.isfinite(float(value))):
-                raise ValueError(f"env.{name} must be a finite number in [{low:g}, {high:g}], got {value!r}")
-            checked[name] = np.float32(value)
+            interval = checks.SHARE if field.endswith("probability") else checks.ANY_NUMBER
+            value = checks.number(name, value, interval, may_be_traced=True)
+            checked[field] = value if isinstance(value, Tracer) else np.float32(value)
     return params._replace(**checked)
+
+
+def numbers_of(env: "Environment[Any, Any]", params: Any) -> Any:
+    """The numbers of an environment, its default ones if None, as `concrete_params` gives them.
+
+    Raises:
+        TypeError, ValueError: `params` are not those of the environment; as `concrete_params`.
+    """
+    default = env.default_params
+    if params is None:
+        return concrete_params(default)
+    if not isinstance(params, tuple) or getattr(params, "_fields", None) != default._fields:
+        raise TypeError(
+            f"params must be a {type(default).__name__}, the numbers of {env.name}, such as "
+            f"env.default_params._replace(max_steps=5), got {checks.described(params)}"
+        )
+    return concrete_params(params)
 
 
 def check_options(env: object, options: Mapping[str, tuple[Any, ...]]) -> None:
     """Raises ValueError unless each attribute of `env` that `options` names has one of its values."""
     for option, allowed in options.items():
-        value = getattr(env, option)
-        if value not in allowed:
-            raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+        checks.choice(option, getattr(env, option), allowed)
 
 
 def check_render_mode(env: "Environment[Any, Any]", mode: object) -> None:
@@ -146,7 +158,7 @@ class Environment(ABC, Generic[State, Params]):
     def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
         """Starts an episode: ``obs, state``. Consumes `key`."""
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_initial_words, _RESET_STREAM)
-        state = self.initial(drawn, self._numbers(params))
+        state = self.initial(drawn, numbers_of(self, params))
         return self.observation(state), state
 
     def step(
@@ -157,14 +169,15 @@ class Environment(ABC, Generic[State, Params]):
         `truncated` holds when ``params.max_steps`` steps were taken without termination. The
         episode is over when either holds; the caller then calls `reset`.
         """
-        numbers = self._numbers(params)
+        numbers, action = numbers_of(self, params), self._checked_action(action)
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_words)
-        state, reward, terminated, info = self.transition(state, jnp.asarray(action, jnp.int32), drawn, numbers)
+        state, reward, terminated, info = self.transition(state, action, drawn, numbers)
         truncated = (state.time >= numbers.max_steps) & ~terminated
         return self.observation(state), state, reward, terminated, truncated, info
 
-    def _numbers(self, params: Params | None) -> Any:
-        return concrete_params(self.default_params if params is None else params)
+    def _checked_action(self, action: Any) -> Array:
+        """An action as int32, if it is the number of one."""
+        return jnp.asarray(checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True), jnp.int32)
 
 
 class TabularEnvironment(Environment[State, Params]):
@@ -213,18 +226,28 @@ class TabularEnvironment(Environment[State, Params]):
         """The exact model, by running `transition` on one word of every kind from every state.
 
         Raises:
+            TypeError: `params` are traced, or not those of this environment.
             ValueError: `word_cuts` lacks a cut.
         """
-        numbers = self._numbers(params)
+        numbers = self._fixed_numbers(params)
         kinds = WordKinds(self.word_cuts(numbers))
         found = enumerate_outcomes(self, numbers, kinds)
         return Model.merged(found.next_state, found.reward, (found.flags & 1) == 1, kinds.weights())
 
     def initial_distribution(self, params: Params | None = None) -> np.ndarray:
         """Probability of each state number at the start of an episode, float64 ``[S]``."""
-        numbers = self._numbers(params)
+        numbers = self._fixed_numbers(params)
         kinds = WordKinds(self.initial_word_cuts(numbers))
         with jax.ensure_compile_time_eval():
             firsts = jax.vmap(lambda words: self.encode(self.initial(words, numbers)), axis_size=kinds.count)
             states = firsts(kinds.first_words())
         return np.bincount(np.asarray(states), weights=kinds.weights(), minlength=self.num_states)
+
+    def _fixed_numbers(self, params: Params | None) -> Any:
+        numbers = numbers_of(self, params)
+        if any(isinstance(number, Tracer) for number in numbers):
+            raise TypeError(
+                f"params must be fixed numbers where the exact model of {self.name} is made, got "
+                f"{checks.described(numbers)}"
+            )
+        return numbers
