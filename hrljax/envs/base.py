@@ -39,16 +39,16 @@ def concrete_params(params: Any) -> Any:
         ValueError: a number is not finite, a field ``*_probability`` is outside [0, 1], or
             ``max_steps`` is not from 1 to 2**31 - 1.
     """
-    checked = {}
-    for field, value in params._asdict().items():
-        name = f"env.{field}"
-        if field == "max_steps":
-            checked[field] = checks.integer(name, value, 1, may_be_traced=True)
-        else:
-            interval = checks.SHARE if field.endswith("probability") else checks.ANY_NUMBER
-            value = checks.number(name, value, interval, may_be_traced=True)
-            checked[field] = value if isinstance(value, Tracer) else np.float32(value)
-    return params._replace(**checked)
+    return params._replace(**{field: concrete_number(field, value) for field, value in params._asdict().items()})
+
+
+def concrete_number(field: str, value: Any) -> Any:
+    """One of the numbers of an environment, as `concrete_params` gives it."""
+    if field == "max_steps":
+        return checks.integer(f"env.{field}", value, 1, may_be_traced=True)
+    interval = checks.SHARE if field.endswith("probability") else checks.ANY_NUMBER
+    value = checks.number(f"env.{field}", value, interval, may_be_traced=True)
+    return value if isinstance(value, Tracer) else np.float32(value)
 
 
 def numbers_of(env: "Environment[Any, Any]", params: Any) -> Any:

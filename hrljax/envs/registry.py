@@ -26,7 +26,8 @@ def register(name: str, make: Callable[..., Environment[Any, Any]]) -> None:
         ValueError: the name is taken, or has other characters than letters, digits, ``_``, ``-`` and ``.``.
     """
     checks.text("name", name, "'MyWorld'")
-    checks.instance("make", make, Callable, "a function that returns an environment, such as its class")
+    if not callable(make):
+        raise TypeError(f"make must be a function that returns an environment, such as its class, got {make!r}")
     if not re.fullmatch(r"[\w.-]+", name):
         raise ValueError(f"name must consist of letters, digits, '_', '-' and '.', got {name!r}")
     if name in _ENVIRONMENTS:

@@ -11,11 +11,12 @@ from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
 from hrljax import checks
-from hrljax.envs.base import Environment, TabularEnvironment, check_options, concrete_params
+from hrljax.envs.base import Environment, TabularEnvironment, check_options, concrete_number
 from hrljax.interop.episodes import made
 from hrljax.interop.gymnax_spaces import box_of_ones, gymnax_space
 
@@ -49,7 +50,10 @@ class GymnaxParams:
         if unknown := set(changes) - set(self.numbers._fields):
             names = ", ".join(sorted(unknown))
             raise ValueError(f"params must be among {', '.join(self.numbers._fields)}, got {names}")
-        return GymnaxParams(concrete_params(self.numbers._replace(**changes)))
+        for name, value in changes.items():
+            if np.ndim(value) == 0:  # arrays are for `jax.vmap`, which gives one of their entries to each environment
+                concrete_number(name, value)
+        return GymnaxParams(self.numbers._replace(**changes))
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "numbers":

@@ -75,8 +75,8 @@ def _values(name: str, curves: Curves, variable: str) -> xr.DataArray:
         known = [str(key) for key, array in curves.data_vars.items() if _along(array)]
         if variable not in known:
             raise ValueError(
-                f"variable must be one over episodes{where}, {' or '.join(known) or 'of which there is none'}, "
-                f"got {variable!r}"
+                f"variable{where} must be one of {', '.join(known) or 'none'}, those over episodes, "
+                f"got {checks.described(variable)}"
             )
         return curves[variable]
     along = _along(curves)

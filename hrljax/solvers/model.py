@@ -42,7 +42,8 @@ class Model(NamedTuple):
         if {reward.shape, terminated.shape} != {shape} or probability.shape not in (shape, shape[-1:]):
             shapes = [array.shape for array in (next_state, reward, terminated, probability)]
             raise ValueError(
-                f"next_state, reward and terminated must have one shape [S, A, N], probability that or [N], got {shapes}"
+                "next_state, reward and terminated must have one shape [S, A, N], and probability that one or [N], "
+                f"got {shapes}"
             )
         flat_next, flat_reward = next_state.reshape(-1, shape[-1]), reward.reshape(-1, shape[-1])
         flat_end = terminated.reshape(-1, shape[-1])
