@@ -59,7 +59,7 @@ class Learned:
         episodes = checks.integer("episodes", episodes)
         steps = checks.integer("steps", steps, 0, 2**63 - 1)
         self.env, self.learner = env, learner
-        self.episodes, self.steps = int(episodes), int(steps)
+        self.episodes, self.steps = episodes, steps
         self.tables = jax.tree.map(np.asarray, tables)
         expected = learned_shapes(env, learner)
         if described(self.tables) != described(expected):
@@ -123,7 +123,7 @@ class Learned:
             TypeError, ValueError: `seed` is no integer of at least 0.
             ValueError: a learner that sees states has a schedule; replace it by the number that is meant.
         """
-        checks.integer("seed", seed)
+        checks.integer("seed", seed, 0, 2**64 - 1)
         tables = jax.tree.map(jnp.asarray, self.tables)
         if not self.learner.is_tabular:
             return StatePolicy(self.env, self.learner, tables)

@@ -190,7 +190,7 @@ def test_bad_tables_are_refused():
     model = from_table(Tiny(GOOD), initial=[1, 0]).model()
     with pytest.raises(ValueError, match="one shape"):
         Table(model._replace(reward=model.reward[..., :1]), np.array([1.0, 0.0]))
-    with pytest.raises(TypeError, match="model must be a hrljax.solvers.Model such as env.model.., got 5"):
+    with pytest.raises(TypeError, match=r"model must be a hrljax.solvers.Model such as env.model\(\), got 5"):
         Table(5, np.array([1.0, 0.0]))  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="next_state must be integers, got float64"):
         Table(model._replace(next_state=model.next_state + 0.5), np.array([1.0, 0.0]))

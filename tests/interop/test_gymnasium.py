@@ -146,13 +146,6 @@ def test_the_step_is_compiled_once_for_all_equal_environments():
         env.reset(seed=seed)
         for action in (0, np.int64(1), np.array(2), 3):
             env.step(action)
-    for action in (1.5, "north", None, np.array([0, 1])):
-        with pytest.raises(TypeError, match="action must be an integer from 0 to 3, got "):
-            env.step(action)
-    with pytest.raises(TypeError, match="Taxi has no option 'slip_probability': it is one of its numbers"):
-        gymnasium.make("hrljax/Taxi-v0", slip_probability=0.1)
-    with pytest.raises(TypeError, match="env.max_steps must be an integer from 1 to 2147483647, got '5'"):
-        SingleEnv(SMALL, params={"max_steps": "5"})
             if not env._goes_on:
                 env.reset()
     assert episodes.advance._cache_size() == before + 1
@@ -202,3 +195,10 @@ def test_bad_input_is_refused():
     for action in (-1, 4):
         with pytest.raises(ValueError, match=f"action must be an integer from 0 to 3, got {action}"):
             env.step(action)
+    for action in (1.5, "north", None, np.array([0, 1])):
+        with pytest.raises(TypeError, match="action must be an integer from 0 to 3, got "):
+            env.step(action)
+    with pytest.raises(TypeError, match="Taxi has no option 'slip_probability': it is one of its numbers"):
+        gymnasium.make("hrljax/Taxi-v0", slip_probability=0.1)
+    with pytest.raises(TypeError, match=r"env.max_steps must be an integer from 1 to 2147483647, got '5'"):
+        SingleEnv(SMALL, params={"max_steps": "5"})

@@ -211,7 +211,7 @@ def test_bad_input_is_refused():
         BatchedEnv("Maze", 2, max_episode_steps=0)
     with pytest.raises(TypeError, match=r"max_episode_steps must be an integer from 1 to 2147483647, got 2.5"):
         BatchedEnv("Maze", 2, max_episode_steps=2.5)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="seed must be an integer, a sequence of integers or None, got 1.5"):
+    with pytest.raises(TypeError, match=r"seed must be an integer, a sequence of integers or None, got 1.5"):
         BatchedEnv("Maze", 2).reset(seed=1.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="'sometimes' is not a valid AutoresetMode"):
         BatchedEnv("Maze", 2, autoreset_mode="sometimes")
