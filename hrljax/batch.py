@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from itertools import islice
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from tqdm import tqdm
 
-from hrljax import xla
+from hrljax import checks, xla
 
 Mapping = Literal["auto", "native", "vmap"]
 _MAX_CHUNK = {"native": 16, "vmap": 256}
@@ -39,8 +39,7 @@ def resolve_mapping(mapping: Mapping) -> Literal["native", "vmap"]:
     Raises:
         ValueError: an unknown mapping.
     """
-    if mapping not in get_args(Mapping):
-        raise ValueError(f"mapping must be one of {', '.join(map(repr, get_args(Mapping)))}, got {mapping!r}")
+    checks.choice("mapping", mapping, Mapping)
     if mapping == "vmap" or (mapping == "auto" and jax.default_backend() != "cpu"):
         return "vmap"
     return "native" if xla.native_loops_available() else "vmap"

@@ -12,11 +12,10 @@ import jax
 import numpy as np
 from jax import Array
 
-from hrljax import batch
+from hrljax import batch, checks
 from hrljax.learners.base import Learner
 from hrljax.start import learned_shapes
 from hrljax.sweep import Checked, check
-from hrljax.train import check_count
 from hrljax.work import Job
 
 _EPISODES, _BINS, _POINTS, _ROUNDS = 200, 4, 4, 3
@@ -86,7 +85,8 @@ def plan(
     """
     for name, value in (("cores", cores), ("chunk_size", chunk_size), ("workers", workers)):
         if value is not None:
-            check_count(name, value)
+            checks.integer(name, value, 1)
+    checks.flag("store", store)
     checked = check(
         env,
         learner,

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 from jax import Array
 
+from hrljax import checks
+
 Predicate = Callable[[Any], Array]
 
 
@@ -37,6 +39,10 @@ class Subtask:
         goal: where the pseudo-reward is paid when the subtask terminates, as a factor (bool or
             float32) of the learner's `pseudo_reward`; None pays nowhere.
         abstraction: the parts of the state that a model-based policy of this subtask separates.
+
+    Raises:
+        TypeError: an attribute is of the wrong kind. What functions return is checked when a learner or a
+            solver asks them for every state.
     """
 
     name: str
@@ -44,6 +50,18 @@ class Subtask:
     termination: Predicate
     goal: Predicate | None = None
     abstraction: Abstraction | None = None
+
+    def __post_init__(self) -> None:
+        checks.text("name", self.name, "'Root'")
+        owner = f"subtask {self.name!r}"
+        object.__setattr__(self, "children", checks.names(f"{owner}: children", self.children))
+        checks.function(f"{owner}: termination", self.termination, "of a state")
+        if self.goal is not None:
+            checks.function(f"{owner}: goal", self.goal, "of a state, or None")
+        if self.abstraction is not None:
+            checks.instance(f"{owner}: abstraction", self.abstraction, Abstraction, "an Abstraction or None")
+            for part, function in self.abstraction._asdict().items():
+                checks.function(f"{owner}: abstraction.{part}", function, "of a state")
 
 
 class Hierarchy:
@@ -54,13 +72,14 @@ class Hierarchy:
         subtasks: the composite tasks; the first is the root.
 
     Raises:
+        TypeError: an argument is of the wrong kind.
         ValueError: a name is used twice or unknown, a subtask has no children or none of the
             parents leads to it, or a subtask can invoke itself. The message names the subtask.
     """
 
     def __init__(self, actions: Iterable[str], subtasks: Iterable[Subtask]):
-        self.actions = tuple(actions)
-        self.subtasks = tuple(subtasks)
+        self.actions = checks.names("actions", actions)
+        self.subtasks = checks.sequence_of("subtasks", subtasks, Subtask, "hrljax.Subtask")
         self._by_name = {task.name: task for task in self.subtasks}
         self._validate()
 
@@ -69,6 +88,13 @@ class Hierarchy:
         return self.subtasks[0]
 
     def __getitem__(self, name: str) -> Subtask:
+        """The subtask of a name.
+
+        Raises:
+            KeyError: there is none; the message lists those that there are.
+        """
+        if name not in self._by_name:
+            raise KeyError(f"there is no subtask {name!r}; subtasks are {', '.join(self._by_name)}")
         return self._by_name[name]
 
     def __repr__(self) -> str:
@@ -77,7 +103,7 @@ class Hierarchy:
 
     def index(self, name: str) -> int:
         """Position of a subtask, 0 for the root."""
-        return self.subtasks.index(self._by_name[name])
+        return self.subtasks.index(self[name])
 
     def is_primitive(self, name: str) -> bool:
         return name in self.actions
@@ -89,7 +115,7 @@ class Hierarchy:
 
     def height(self, name: str) -> int:
         """Number of subtasks on the longest path from a subtask, itself included, to a primitive action."""
-        return 0 if self.is_primitive(name) else 1 + max(self.height(c) for c in self._by_name[name].children)
+        return 0 if self.is_primitive(name) else 1 + max(self.height(c) for c in self[name].children)
 
     def leaf_cover(self) -> tuple[str, ...]:
         """The smallest leaf cover C(H): the subtasks with access to a primitive action (Definition 8)."""
@@ -98,7 +124,7 @@ class Hierarchy:
     def reachable_actions(self, name: str) -> frozenset[str]:
         """Primitive actions that a subtask can execute, itself or through its children."""
         found: set[str] = set()
-        for child in self._by_name[name].children:
+        for child in self[name].children:
             found |= {child} if self.is_primitive(child) else self.reachable_actions(child)
         return frozenset(found)
 
@@ -108,7 +134,7 @@ class Hierarchy:
         Args:
             cover: names of subtasks; the smallest leaf cover if None.
         """
-        names = set(self.leaf_cover() if cover is None else cover)
+        names = set(self.leaf_cover() if cover is None else checks.names("cover", cover))
         return names >= set(self.leaf_cover()) and all(self.reachable_actions(n) == set(self.actions) for n in names)
 
     def _validate(self) -> None:

@@ -15,7 +15,7 @@ from jax import Array
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners.base import Learner, Tabulated, tabulated
 from hrljax.learners.option_set import Options
-from hrljax.learners.task_tables import over_states, tabulate
+from hrljax.learners.task_tables import parts_of_states, tabulate
 from hrljax.work import ENV_PREFIX
 
 _PACKAGES = ("hrljax", "jax", "jaxlib", "numpy", "xarray")
@@ -80,8 +80,7 @@ def hierarchy_digest(env: Any, hierarchy: Hierarchy) -> str:
     tables = tabulate(hierarchy, env)
     parts = [tables.active, tables.goal]
     for task in hierarchy.subtasks:
-        if task.abstraction is not None:
-            parts += [over_states(part, env) for part in task.abstraction]
+        parts += parts_of_states(task, env)
     return _digest([np.frombuffer(repr(hierarchy).encode(), np.uint8), *parts])
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hrljax import checks
 from hrljax.hierarchy import Hierarchy
 
 
@@ -85,9 +86,7 @@ def accessible(hierarchy: Hierarchy, active: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: the shape does not fit.
     """
-    active = np.asarray(active, np.bool_)
-    if active.ndim != 2 or len(active) != len(hierarchy.subtasks):
-        raise ValueError(f"active must have shape [{len(hierarchy.subtasks)}, S], got {active.shape}")
+    active = checks.as_array("active", active, np.bool_, (len(hierarchy.subtasks), None), "bools")
     found = np.zeros((*active.shape, len(hierarchy.actions)), np.bool_)
     for task in sorted(hierarchy.subtasks, key=lambda task: hierarchy.height(task.name)):
         own = found[hierarchy.index(task.name)]
@@ -134,8 +133,9 @@ def inaccessible(
 
 def _checked(hierarchy: Hierarchy, cover: Iterable[str] | None) -> tuple[str, ...]:
     """The cover's subtasks in the hierarchy's order."""
+    checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
     least = hierarchy.leaf_cover()
-    names = set(least if cover is None else cover)
+    names = set(least if cover is None else checks.names("cover", cover))
     known = [task.name for task in hierarchy.subtasks]
     for name in sorted(names - set(known)):
         raise ValueError(f"cover names {name!r}, which is no subtask; subtasks are {', '.join(known)}")

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax import checks
 from hrljax.continuation import episodes_of
 from hrljax.envs.base import Environment
 from hrljax.envs.registry import make, registered
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 _FORMAT, _VERSION = "hrljax learned", 1
 _HEADER = "header"
+_MOST_SHOWN = 12
+"""Values of an axis that a message lists."""
 
 
 class Learned:
@@ -48,12 +51,15 @@ class Learned:
     def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any, *, episodes: int = 0, steps: int = 0):
         """
         Raises:
+            TypeError: an argument is of the wrong kind.
             ValueError: `tables` are not those of one run of `learner` on `env`; `episodes` or `steps` is negative.
         """
-        if episodes < 0 or steps < 0:
-            raise ValueError(f"episodes and steps must be at least 0, got {episodes} and {steps}")
+        checks.instance("env", env, Environment, "an environment such as hrljax.make('Bus')")
+        checks.instance("learner", learner, Learner, "a learner such as hrljax.QLearning()")
+        episodes = checks.integer("episodes", episodes)
+        steps = checks.integer("steps", steps, 0, 2**63 - 1)
         self.env, self.learner = env, learner
-        self.episodes, self.steps = int(episodes), int(steps)
+        self.episodes, self.steps = episodes, steps
         self.tables = jax.tree.map(np.asarray, tables)
         expected = learned_shapes(env, learner)
         if described(self.tables) != described(expected):
@@ -76,10 +82,14 @@ class Learned:
             at: the value along each axis.
 
         Raises:
+            TypeError: an argument is of the wrong kind.
             ValueError: the dataset has no tables, is of something else, or has not finished this run.
-            KeyError: a seed or a value that the dataset does not have.
+            KeyError: a seed or a value that the dataset does not have; the message lists those that it has.
         """
-        at = dict(at or {})
+        _check_dataset(dataset)
+        checks.instance("env", env, Environment, "the environment of the sweep")
+        checks.instance("learner", learner, Learner, "the learner of the sweep")
+        at = dict(checks.instance("at", {} if at is None else at, Mapping, "a mapping such as {'step_size': 0.1}"))
         axes = [str(dim) for dim in dataset["steps"].dims if dim != "seed"]
         if set(at) != set(axes):
             raise ValueError(f"at must give a value for each of {axes}, got {at}")
@@ -87,7 +97,9 @@ class Learned:
         wrong = differences({name: dataset.attrs.get(name) for name in names}, names)
         if wrong:
             raise ValueError(f"the dataset is of another sweep: {'; '.join(wrong)}")
-        run = dataset.sel({"seed": seed, **at})
+        point = {"seed": _on_grid("seed", seed, dataset)}
+        point |= {axis: _on_grid(f"at: {axis}", at[axis], dataset, axis) for axis in axes}
+        run = dataset.sel(point)
         if not np.isfinite(run["steps"]):
             raise ValueError(f"the run of seed {seed} at {at} is not finished")
         learner = learner.replaced({name: value for name, value in at.items() if not name.startswith(ENV_PREFIX)})
@@ -108,8 +120,10 @@ class Learned:
             seed: of the choices of a root that chooses at random; other policies are deterministic.
 
         Raises:
+            TypeError, ValueError: `seed` is no integer of at least 0.
             ValueError: a learner that sees states has a schedule; replace it by the number that is meant.
         """
+        checks.integer("seed", seed, 0, 2**64 - 1)
         tables = jax.tree.map(jnp.asarray, self.tables)
         if not self.learner.is_tabular:
             return StatePolicy(self.env, self.learner, tables)
@@ -123,6 +137,7 @@ class Learned:
         Raises:
             OSError: `path` cannot be written.
         """
+        path = checks.path("path", path)
         tables = {name: np.asarray(leaf) for name, leaf in named_leaves(self.tables)}
         header = {
             "format": _FORMAT,
@@ -135,7 +150,6 @@ class Learned:
         }
         content = io.BytesIO()
         np.savez(content, **{_HEADER: np.frombuffer(json.dumps(header).encode(), np.uint8)}, **tables)  # type: ignore[arg-type]
-        path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content.getvalue())
 
@@ -156,7 +170,7 @@ class Learned:
             ValueError: the file is damaged, no such file, of a version that is not known, or of
                 another environment or learner than those that are given. The message says which.
         """
-        header, tables = _read(Path(path))
+        header, tables = _read(checks.path("path", path))
         where = f"{path} holds what was learned"
         if env is None:
             name = header["environment"]
@@ -173,6 +187,27 @@ class Learned:
             raise ValueError(f"{path} is damaged: it has the tables {sorted(tables)} instead of {header['tables']}")
         trained = {name: int(header.get(name, 0)) for name in ("episodes", "steps")}  # older files do not say
         return cls(env, learner, tree_of(learned_shapes(env, learner), tables), **trained)
+
+
+def _check_dataset(dataset: object) -> None:
+    import xarray as xr
+
+    checks.instance("dataset", dataset, xr.Dataset, "a dataset of hrljax.sweep(..., keep_learned=True)")
+    assert isinstance(dataset, xr.Dataset)
+    if "steps" not in dataset:
+        variables = ", ".join(map(str, dataset.data_vars)) or "none"
+        raise ValueError(f"dataset must have the variable 'steps', as hrljax.sweep gives it; it has {variables}")
+
+
+def _on_grid(name: str, value: Any, dataset: xr.Dataset, axis: str = "seed") -> Any:
+    """The value, if it is one of those along an axis of a dataset."""
+    grid = dataset[axis].values
+    value = checks.integer(name, value, -checks.LARGEST_INTEGER) if axis == "seed" else checks.number(name, value)
+    if value not in grid:
+        shown = ", ".join(f"{known:.12g}" for known in grid[:_MOST_SHOWN])
+        more = f" and {len(grid) - _MOST_SHOWN} more, up to {grid.max():.12g}" if len(grid) > _MOST_SHOWN else ""
+        raise KeyError(f"{name} must be one of {shown}{more}, got {checks.described(value)}")
+    return value
 
 
 class StatePolicy:

@@ -1,6 +1,7 @@
 """Greedy policies in plain NumPy, for use where nothing else of hrljax runs."""
 
 from dataclasses import dataclass, field
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -42,8 +43,13 @@ class Policy:
         """The primitive action in a state (its number).
 
         Raises:
+            TypeError: the state is no integer.
             ValueError: the state has no such number.
         """
+        try:
+            state = index(state)
+        except TypeError:
+            raise TypeError(f"state must be the number of a state, an integer, got {state!r}") from None
         if not 0 <= state < self.slots.shape[1]:
             raise ValueError(f"state must be a number in [0, {self.slots.shape[1]}), got {state!r}")
         stack = self.left(self.stack, state)

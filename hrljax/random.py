@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.counting import Count
 from hrljax.numerics import take
 
@@ -59,7 +60,7 @@ def key_words(key: Array) -> tuple[Array, Array]:
 def check_key(key: object) -> None:
     """Raises unless `key` is one new-style Threefry key."""
     if not isinstance(key, jax.Array) or not jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
-        raise TypeError(f"key must be a new-style key such as jax.random.key(0), got {key!r}")
+        raise TypeError(f"key must be a new-style key such as jax.random.key(0), got {checks.described(key)}")
     if "fry" not in str(key.dtype):
         raise TypeError(f"key must be a threefry2x32 key (the default of jax.random.key), got {key.dtype}")
     if key.ndim:

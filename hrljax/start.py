@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from hrljax import checks
 from hrljax.learners.base import Learner
 
 LEARNED = "learned"
@@ -40,7 +41,7 @@ def checked_start(start: object, env: Any, learner: Learner, num_episodes: int) 
     if isinstance(start, Startable):
         start = start.as_start()
     if not isinstance(start, Start):
-        raise TypeError(f"start must be what hrljax.train returned or a hrljax.Learned, got {start!r}")
+        raise TypeError(f"start must be what hrljax.train returned or a hrljax.Learned, got {checks.described(start)}")
     expected = described(learned_shapes(env, learner))
     if described(start.learned) != expected:
         raise ValueError(

@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from functools import partial
@@ -17,16 +17,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
-from hrljax import batch, identity, random
+from hrljax import batch, checks, identity, random
 from hrljax.continuation import Continuation, continuation
-from hrljax.envs.base import concrete_params
+from hrljax.envs.base import concrete_params, numbers_of
 from hrljax.envs.checks import check_before_training
 from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
 from hrljax.start import Startable, learned_shapes, named_leaves
 from hrljax.store import Store, attributes_on_disk
-from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, metric_names
+from hrljax.train import bin_sizes, check_arguments, default_bin_size, metric_names
 from hrljax.work import ENV_PREFIX, Job
 
 if TYPE_CHECKING:
@@ -102,11 +103,12 @@ def sweep(
         FileExistsError: there is something else at `store`.
         OSError: the store cannot be written; its finished chunks are intact.
     """
-    for name, value in (("cores", cores), ("chunk_size", chunk_size)):
-        if value is not None:
-            check_count(name, value)
-    if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+    cores = None if cores is None else checks.integer("cores", cores, 1)
+    chunk_size = None if chunk_size is None else checks.integer("chunk_size", chunk_size, 1)
+    if executor is not None:
+        checks.instance("executor", executor, Executor, "a concurrent.futures.Executor")
+    store = None if store is None else checks.path("store", store)
+    checks.flag("progress", progress)
     checked = check(
         env,
         learner,
@@ -234,12 +236,16 @@ def check(
     Raises:
         TypeError, ValueError: a bad argument.
     """
-    check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
-    check_count("seeds", seeds)
-    root_key = jax.random.key(_checked_seed(key)) if isinstance(key, int) else key
+    num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
+    seeds = checks.integer("seeds", seeds, 1)
+    keep_learned = checks.flag("keep_learned", keep_learned)
+    is_seed = checks.is_number(key, np.integer)
+    root_key: Any = jax.random.key(checks.integer("key", key, 0, 2**32 - 1)) if is_seed else key
     random.check_key(root_key)
-    params = concrete_params(env.default_params if params is None else params)
-    columns = _checked_axes(learner, params, axes or {})
+    params = numbers_of(env, params)
+    if any(isinstance(value, Tracer) for value in (root_key, *params, *learner.settings().values())):
+        raise TypeError("a sweep compiles and maps its runs itself, so jax.jit and jax.vmap cannot trace it; map train")
+    columns = _checked_axes(learner, params, {} if axes is None else axes)
     if evaluate_every is not None and any(name.startswith(ENV_PREFIX) for name in columns):
         raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
     of_env = {n.removeprefix(ENV_PREFIX): values for n, values in columns.items() if n.startswith(ENV_PREFIX)}
@@ -248,7 +254,7 @@ def check(
     if evaluate_every is not None and evaluate_every > len(bin_sizes(num_episodes, bin_size)):
         raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")
     resolved = batch.resolve_mapping(mapping)
-    job = Job(env, learner, params, num_episodes, bin_size, evaluate_every, bool(keep_learned), mapping)
+    job = Job(env, learner, params, num_episodes, bin_size, evaluate_every, keep_learned, mapping)
     attributes = identity.attributes(env, learner, params, root_key, columns)
     attributes |= {"num_episodes": num_episodes, "bin_size": bin_size}
     labels, begin = _labels(job, columns, seeds), None
@@ -274,25 +280,19 @@ def _labels(job: Job, columns: dict[str, list[float]], seeds: int) -> Labels:
     return Labels(columns, seeds, coordinates, variables)
 
 
-def _checked_seed(key: int) -> int:
-    if isinstance(key, bool) or not 0 <= key < 2**32:
-        raise ValueError(f"key must be a new-style key or an integer in [0, 2**32), got {key!r}")
-    return key
-
-
 def _checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
     """The axes as lists of floats, each value checked as the hyper-parameter would be."""
+    checks.instance("axes", axes, Mapping, "a mapping such as {'step_size': [0.1, 0.2]}")
     of_learner = learner.sweepable()
     of_env = [ENV_PREFIX + f for f in params._fields if f != "max_steps"]
     columns: dict[str, list[float]] = {}
     for name, values in axes.items():
         if name not in of_learner and name not in of_env:
             known = ", ".join([*of_learner, *of_env])
-            raise ValueError(f"axes: {name!r} cannot be swept; sweepable are {known}")
-        try:
-            columns[name] = [float(v) for v in values]
-        except (TypeError, ValueError):
-            raise ValueError(f"axes: the values of {name!r} must be a sequence of numbers, got {values!r}") from None
+            is_limit = name == f"{ENV_PREFIX}max_steps"
+            why = ", for it only says where episodes are cut off: sweep once for each, with params" if is_limit else ""
+            raise ValueError(f"axes: {name!r} cannot be swept{why}; sweepable are {known}")
+        columns[name] = _numbers_of_axis(name, values)
         if not columns[name] or len(set(columns[name])) < len(columns[name]):
             raise ValueError(f"axes: the values of {name!r} must be at least one and different, got {values!r}")
         for value in columns[name]:
@@ -301,3 +301,17 @@ def _checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[flo
             else:
                 concrete_params(params._replace(**{name.removeprefix(ENV_PREFIX): value}))
     return columns
+
+
+def _numbers_of_axis(name: str, values: Any) -> list[float]:
+    """The values of an axis, if they are numbers in an order."""
+    if hasattr(values, "__array__") and not isinstance(values, Tracer):
+        values = np.asarray(values)
+    try:
+        numbers = [None] if isinstance(values, str | bytes | Set | Mapping) else list(values)
+    except TypeError:  # it has no elements
+        numbers = [None]
+    if not all(checks.is_number(number) and not isinstance(number, Tracer) for number in numbers):
+        described = checks.described(values)
+        raise TypeError(f"axes: the values of {name!r} must be a sequence of numbers, got {described}")
+    return [float(checks.number(f"axes: {name}", number)) for number in numbers]

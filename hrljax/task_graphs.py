@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Patch
 from matplotlib.path import Path
 
+from hrljax import checks
 from hrljax.hierarchy import Hierarchy
 from hrljax.leaf_covers import TotalLeafCover
 
@@ -17,11 +18,13 @@ Added = Mapping[str, tuple[str, ...]]
 """Children that were added to subtasks, by subtask."""
 
 _SUBTASK, _COVER, _ACTION = "#ffffff", "#cfe3f1", "#eeeeee"
+_HIERARCHY = "a Hierarchy such as env.hierarchy()"
 _EDGE, _ADDED_EDGE = "#777777", "#D55E00"
 
 
 def text(hierarchy: Hierarchy, added: Added | None = None) -> str:
     """One line for each subtask: its children, those that were added after a plus; * marks the leaf cover."""
+    checks.instance("hierarchy", hierarchy, Hierarchy, _HIERARCHY)
     cover, added = hierarchy.leaf_cover(), added or {}
     labels = [task.name + ("*" if task.name in cover else "") for task in hierarchy.subtasks]
     width = max(map(len, labels))
@@ -45,6 +48,7 @@ def draw(hierarchy: Hierarchy, added: Added | None = None, *, title: str = "", a
     Returns:
         The axes; ``ax.figure.savefig`` saves the picture.
     """
+    checks.instance("hierarchy", hierarchy, Hierarchy, _HIERARCHY)
     layers = _layers(hierarchy)
     if ax is None:
         ax = Figure(figsize=figure_size(hierarchy), layout="constrained").subplots()
@@ -92,6 +96,8 @@ def draw(hierarchy: Hierarchy, added: Added | None = None, *, title: str = "", a
 
 def draw_completion(before: Hierarchy, total: TotalLeafCover) -> Figure:
     """A task graph without and with what its total leaf cover adds, one above the other."""
+    checks.instance("before", before, Hierarchy, _HIERARCHY)
+    checks.instance("total", total, TotalLeafCover, "what hrljax.total_leaf_cover returned")
     width, height = figure_size(total.hierarchy)
     figure = Figure(figsize=(width, 2 * height), layout="constrained")
     upper, lower = figure.subplots(2)

@@ -5,14 +5,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax import random, tally
+from hrljax import checks, random, tally
 from hrljax.counting import Count, Total, count, total
 from hrljax.envs import contract
-from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
+from hrljax.envs.base import Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training, check_declarations
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
 from hrljax.numerics import opaque_zero
@@ -160,8 +159,9 @@ def train(
         TypeError, ValueError: a bad argument, or an environment that is not as `hrljax.check` wants it;
             before anything is compiled.
     """
-    check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
-    params = concrete_params(env.default_params if params is None else params)
+    num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
+    random.check_key(key)
+    params = numbers_of(env, params)
     check_before_training(env, params, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
     learner = tabulated(learner, num_episodes, 0 if begin is None else begin.episodes)
@@ -171,12 +171,14 @@ def train(
 
 def check_arguments(
     env: object, learner: object, num_episodes: object, bin_size: object, evaluate_every: object
-) -> None:
-    """Raises for what `train` could not run, naming the argument, the value and what is allowed."""
-    if not isinstance(env, Environment):
-        raise TypeError(f"env must be an environment such as hrljax.make('Bus'), got {env!r}")
-    if not isinstance(learner, Learner):
-        raise TypeError(f"learner must be a learner such as hrljax.QLearning(), got {learner!r}")
+) -> tuple[int, int | None, int | None]:
+    """Raises for what `train` could not run, naming the argument, the value and what is allowed.
+
+    Returns:
+        `num_episodes`, `bin_size` and `evaluate_every` as plain integers, or None where they were None.
+    """
+    env = checks.instance("env", env, Environment, "an environment such as hrljax.make('Bus')")
+    learner = checks.instance("learner", learner, Learner, "a learner such as hrljax.QLearning()")
     check_declarations(env)
     if isinstance(env, TabularEnvironment):
         if env.num_states >= 1 << (30 - len(env.metrics)):
@@ -185,17 +187,11 @@ def check_arguments(
         raise TypeError(f"env must be a tabular environment such as hrljax.make('Bus') for {learner.name}, got {env!r}")
     elif evaluate_every is not None:
         raise ValueError(f"evaluate_every needs a tabular environment, got {env!r}")
-    check_count("num_episodes", num_episodes)
-    if bin_size is not None:
-        check_count("bin_size", bin_size)
-    if evaluate_every is not None:
-        check_count("evaluate_every", evaluate_every)
-
-
-def check_count(name: str, value: object, least: int = 1) -> None:
-    """Raises unless `value` is an integer of at least `least` that fits in 31 bits."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < 2**31:
-        raise ValueError(f"{name} must be an integer of at least {least}, got {value!r}")
+    return (
+        checks.integer("num_episodes", num_episodes, 1),
+        None if bin_size is None else checks.integer("bin_size", bin_size, 1),
+        None if evaluate_every is None else checks.integer("evaluate_every", evaluate_every, 1),
+    )
 
 
 class _Trainer:

@@ -6,8 +6,8 @@ import signal
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
+from hrljax import checks
 from hrljax.batch import usable_cores
-from hrljax.train import check_count
 
 
 def processes(workers: int | None = None) -> ProcessPoolExecutor:
@@ -21,12 +21,11 @@ def processes(workers: int | None = None) -> ProcessPoolExecutor:
     Args:
         workers: number of processes, one a usable core if None; with more, cores are shared.
     """
-    if workers is not None:
-        check_count("workers", workers)
+    workers = usable_cores() if workers is None else checks.integer("workers", workers, 1)
     context = multiprocessing.get_context("spawn")
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     number = context.Value("i", 0)
-    return ProcessPoolExecutor(workers or usable_cores(), context, initializer=begin_worker, initargs=(cores, number))
+    return ProcessPoolExecutor(workers, context, initializer=begin_worker, initargs=(cores, number))
 
 
 def begin_worker(cores: list[int], number: Any) -> None:

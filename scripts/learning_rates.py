@@ -1,11 +1,10 @@
 """Step size x pseudo-reward x learner on Maze, Taxi and Bus over many seeds: pictures, a table and the numbers."""
 
-import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from hrljax import results
+from hrljax import checks, results
 from hrljax.experiments import learning_rates, learning_rates_pictures, program
 
 
@@ -85,8 +84,7 @@ def main(options: Options) -> int:
 def check(options: Options, known: tuple[str, ...]) -> None:
     """Raises ValueError for an option that makes no sense."""
     program.check_counts(options, "seeds")
-    if not 0 < options.scale < 1000:
-        raise ValueError(f"--scale must be in (0, 1000), got {options.scale!r}")
+    checks.number("--scale", options.scale, checks.Interval(0, 1000, low_open=True, high_open=True))
     for name, values in (
         ("--domains", options.domains),
         ("--step-sizes", options.step_sizes),
@@ -98,11 +96,9 @@ def check(options: Options, known: tuple[str, ...]) -> None:
         if name not in known:
             raise ValueError(f"--domains must be among {', '.join(known)}, got {name!r}")
     for value in options.step_sizes:
-        if not 0 < value <= 1:
-            raise ValueError(f"--step-sizes must be in (0, 1], got {value!r}")
+        checks.number("--step-sizes", value, checks.Interval(0, 1, low_open=True))
     for value in options.pseudo_rewards:
-        if not math.isfinite(value):
-            raise ValueError(f"--pseudo-rewards must be finite, got {value!r}")
+        checks.number("--pseudo-rewards", value)
 
 
 if __name__ == "__main__":

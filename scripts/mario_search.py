@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from hrljax import checks
 from hrljax.experiments import mario_search, program
-from hrljax.train import check_count
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Options:
 def main(options: Options) -> int:
     program.check_counts(options)
     for nodes in options.more_nodes:
-        check_count("--more-nodes", nodes)
+        checks.integer("--more-nodes", nodes, 1)
     options.out.mkdir(parents=True, exist_ok=True)
     done = []
     print(mario_search.table_head(), flush=True)

@@ -4,6 +4,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from hrljax import checks
 from hrljax.experiments import optimality, program
 from hrljax.experiments.rows import curves_csv
 
@@ -35,8 +36,7 @@ class Options:
 
 def main(options: Options) -> int:
     program.check_counts(options, "seeds")
-    if not 0 < options.scale < 1000:
-        raise ValueError(f"--scale must be in (0, 1000), got {options.scale!r}")
+    checks.number("--scale", options.scale, checks.Interval(0, 1000, low_open=True, high_open=True))
     known = {domain.name: domain for domain in optimality.domains()}
     for name in options.domains:
         if name not in known:

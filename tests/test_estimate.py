@@ -75,8 +75,8 @@ def test_a_plan_can_be_read():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"workers": 0}, "workers must be an integer of at least 1, got 0"),
-        ({"seeds": 0}, "seeds must be an integer of at least 1, got 0"),
+        ({"workers": 0}, "workers must be an integer from 1 to 2147483647, got 0"),
+        ({"seeds": 0}, "seeds must be an integer from 1 to 2147483647, got 0"),
         ({"axes": {"kappa": [1.0]}}, "'kappa' cannot be swept"),
     ],
 )

@@ -148,15 +148,15 @@ def test_what_random_actions_and_good_ones_are_worth():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--seeds", 0], "--seeds must be an integer of at least 1, got 0"),
-        (["--cores", 0], "--cores must be an integer of at least 1, got 0"),
-        (["--key", -1], "--key must be an integer of at least 0, got -1"),
-        (["--scale", 0], r"--scale must be in \(0, 1000\), got 0.0"),
+        (["--seeds", 0], "--seeds must be an integer from 1 to 2147483647, got 0"),
+        (["--cores", 0], "--cores must be an integer from 1 to 2147483647, got 0"),
+        (["--key", -1], "--key must be an integer from 0 to 2147483647, got -1"),
+        (["--scale", 0], r"--scale must be a finite number in \(0, 1000\), got 0.0"),
         (["--domains", "Mase"], "--domains must be among Maze, Taxi, Bus, got 'Mase'"),
         (["--step-sizes", 0.5, 0.5], "--step-sizes must be at least one and different, got 0.5 0.5"),
-        (["--step-sizes", 0.5, 1.5], r"--step-sizes must be in \(0, 1\], got 1.5"),
+        (["--step-sizes", 0.5, 1.5], r"--step-sizes must be a finite number in \(0, 1\], got 1.5"),
         (["--step-sizes"], "--step-sizes must be at least one and different, got none"),
-        (["--pseudo-rewards", "inf"], "--pseudo-rewards must be finite, got inf"),
+        (["--pseudo-rewards", "inf"], "--pseudo-rewards must be a finite number in .*, got inf"),
     ],
     ids=str,
 )

@@ -19,9 +19,9 @@ class Options:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (Options(runs=0), "--runs must be an integer of at least 1, got 0"),
-        (Options(key=-1), "--key must be an integer of at least 0, got -1"),
-        (Options(cores=0), "--cores must be an integer of at least 1, got 0"),
+        (Options(runs=0), "--runs must be an integer from 1 to 2147483647, got 0"),
+        (Options(key=-1), "--key must be an integer from 0 to 2147483647, got -1"),
+        (Options(cores=0), "--cores must be an integer from 1 to 2147483647, got 0"),
     ],
 )
 def test_counts_are_checked_by_the_names_that_users_know(options: Options, message: str):

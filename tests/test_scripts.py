@@ -78,10 +78,10 @@ def refusal(monkeypatch: pytest.MonkeyPatch, *options: str) -> object:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--seeds", "-1"], "--seeds must be an integer of at least 1, got -1"),
-        (["--seeds", "0"], "--seeds must be an integer of at least 1, got 0"),
-        (["--episodes", "0"], "--episodes must be an integer of at least 1, got 0"),
-        (["--cores", "0"], "--cores must be an integer of at least 1, got 0"),
+        (["--seeds", "-1"], "--seeds must be an integer from 1 to 2147483647, got -1"),
+        (["--seeds", "0"], "--seeds must be an integer from 1 to 2147483647, got 0"),
+        (["--episodes", "0"], "--episodes must be an integer from 1 to 2147483647, got 0"),
+        (["--cores", "0"], "--cores must be an integer from 1 to 2147483647, got 0"),
         (["--key", "-5"], "(--)?key must be .*an integer .*got -5"),
     ],
     ids=str,
@@ -135,7 +135,7 @@ def test_three_kinds_of_optimality_and_what_was_reached(tmp_path: Path):
     ("options", "message"),
     [
         (["--domains", "Moon"], "--domains must be among Maze, Taxi, Bus, got 'Moon'"),
-        (["--scale", "0"], r"--scale must be in \(0, 1000\), got 0.0"),
+        (["--scale", "0"], r"--scale must be a finite number in \(0, 1000\), got 0.0"),
     ],
     ids=str,
 )

@@ -14,6 +14,7 @@ import xarray as xr
 import hrljax
 from hrljax import batch
 from hrljax.envs.bus import Bus, BusParams
+from hrljax.envs.maze import Maze
 from tests.maps import SMALL
 
 HIERARCHY = Bus().hierarchy()
@@ -117,30 +118,33 @@ def nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    *(({"seeds": value}, f"seeds must be an integer of at least 1, got {value}") for value in (-1, 0, 1.5, True)),
-    ({"num_episodes": 0}, "num_episodes must be an integer of at least 1, got 0"),
-    ({"bin_size": 0}, "bin_size must be an integer of at least 1, got 0"),
-    ({"cores": 0}, "cores must be an integer of at least 1, got 0"),
-    ({"chunk_size": 2.0}, r"chunk_size must be an integer of at least 1, got 2\.0"),
-    ({"evaluate_every": 0}, "evaluate_every must be an integer of at least 1, got 0"),
+    *(({"seeds": value}, f"seeds must be an integer from 1 to 2147483647, got {value}") for value in (-1, 0, 2**31)),
+    ({"num_episodes": 0}, "num_episodes must be an integer from 1 to 2147483647, got 0"),
+    ({"num_episodes": 2**31}, "num_episodes must be an integer from 1 to 2147483647, got 2147483648"),
+    ({"bin_size": 0}, "bin_size must be an integer from 1 to 2147483647, got 0"),
+    ({"cores": 0}, "cores must be an integer from 1 to 2147483647, got 0"),
+    ({"chunk_size": -1}, "chunk_size must be an integer from 1 to 2147483647, got -1"),
+    ({"evaluate_every": 0}, "evaluate_every must be an integer from 1 to 2147483647, got 0"),
     ({"evaluate_every": 6}, "evaluate_every must be at most the number of bins, got 6"),
     ({"evaluate_every": 1, "axes": {"env.slip_probability": [0.1]}}, "evaluate_every needs fixed params"),
     ({"mapping": "pmap"}, "mapping must be one of 'auto', 'native', 'vmap', got 'pmap'"),
     ({"axes": {"kappa": [1.0]}}, "'kappa' cannot be swept; sweepable are .*root.step_size, .*env.step_reward"),
     ({"axes": {"bootstrap": [1.0]}}, "'bootstrap' cannot be swept; sweepable are "),
     ({"axes": {"root.interval": [1.0]}}, "'root.interval' cannot be swept; sweepable are .*root.step_size"),
-    ({"axes": {"env.max_steps": [10.0]}}, "'env.max_steps' cannot be swept"),
+    ({"axes": {"env.max_steps": [10.0]}}, "'env.max_steps' cannot be swept, for it only says where episodes are cut"),
     ({"axes": {"step_size": []}}, r"'step_size' must be at least one and different, got \[\]"),
     ({"axes": {"step_size": [0.1, 0.2, 0.1]}}, "'step_size' must be at least one and different"),
-    ({"axes": {"step_size": 0.1}}, "'step_size' must be a sequence of numbers, got 0.1"),
-    ({"axes": {"step_size": ["many"]}}, "'step_size' must be a sequence of numbers"),
+    ({"axes": {"initial_value": [1e60]}}, r"initial_value must be a finite number .*3\.4e\+38\], got 1e\+60"),
     ({"axes": {"step_size": [0.1, 1.5]}}, r"step_size must be a finite number in \(0, 1\], got 1\.5"),
     ({"axes": {"root.step_size": [0.0]}}, r"step_size must be a finite number in \(0, 1\], got 0\.0"),
     ({"axes": {"env.slip_probability": [1.5]}}, r"env\.slip_probability.* must be .* in \[0, 1\], got 1\.5"),
     ({"axes": {"env.step_reward": [np.nan]}}, r"env\.step_reward.* must be a finite number .*got nan"),
-    ({"key": -1}, r"key must be a new-style key or an integer in \[0, 2\*\*32\), got -1"),
-    ({"key": True}, "key must be a new-style key or an integer .*got True"),
+    ({"key": -1}, "key must be an integer from 0 to 4294967295, got -1"),
+    ({"key": 2**32}, "key must be an integer from 0 to 4294967295, got 4294967296"),
+    ({"keep_learned": "no"}, "keep_learned must be one of False, True, got 'no'"),
+    ({"progress": "no"}, "progress must be one of False, True, got 'no'"),
     ({"params": BusParams(slip_probability=-0.5)}, r"env.slip_probability must be .* in \[0, 1\], got -0.5"),
+    ({"params": BusParams(max_steps=2**31)}, "env.max_steps must be an integer from 1 to 2147483647, got 2147483648"),
 ]
 
 
@@ -152,23 +156,44 @@ def test_a_wrong_value_is_refused_before_compilation(wrong: dict[str, Any], mess
         hrljax.sweep(SMALL, PLANNED, **{**options, **wrong})
 
 
-def wrong_type(name: str) -> tuple[dict[str, Any], str]:
-    return {
-        "old key": ({"key": jax.random.PRNGKey(0)}, "key must be a new-style key such as"),
-        "rbg key": ({"key": jax.random.key(0, impl="rbg")}, "key must be a threefry2x32 key .*rbg"),
-        "text key": ({"key": "0"}, "key must be a new-style key such as .*got '0'"),
-        "no env": ({"env": "Bus"}, "env must be an environment .*got 'Bus'"),
-        "no learner": ({"learner": hrljax.QLearning}, "learner must be a learner .*got <class"),
-    }[name]
+OF_THE_WRONG_TYPE: list[tuple[dict[str, Any], str]] = [
+    ({"env": "Bus"}, "env must be an environment .*got 'Bus'"),
+    ({"learner": hrljax.QLearning}, "learner must be a learner .*got <class"),
+    ({"key": "0"}, "key must be a new-style key such as .*got '0'"),
+    ({"key": True}, "key must be a new-style key such as .*got True"),
+    *(({"seeds": value}, f"seeds must be an integer from 1 to 2147483647, got {value}") for value in (1.5, True, None)),
+    ({"chunk_size": 2.0}, r"chunk_size must be an integer from 1 to 2147483647, got 2\.0"),
+    ({"axes": [("step_size", [0.1])]}, r"axes must be a mapping such as .*got \[\('step_size', \[0.1\]\)\]"),
+    ({"axes": {"step_size": 0.1}}, "'step_size' must be a sequence of numbers, got 0.1"),
+    ({"axes": {"step_size": ["0.1"]}}, r"'step_size' must be a sequence of numbers, got \['0.1'\]"),
+    ({"axes": {"step_size": {0.1}}}, r"'step_size' must be a sequence of numbers, got \{0.1\}"),
+    ({"params": {"max_steps": 5}}, r"params must be a BusParams.*_replace\(max_steps=5\), got \{'max_steps': 5\}"),
+    ({"params": Maze().default_params}, "params must be a BusParams.*got MazeParams"),
+    ({"params": BusParams}, "params must be a BusParams.*got <class"),
+    ({"params": BusParams(max_steps="x")}, "env.max_steps must be an integer from 1 to 2147483647, got 'x'"),  # type: ignore[arg-type]
+    ({"params": BusParams(step_reward="1")}, "env.step_reward must be a number, got '1'"),  # type: ignore[arg-type]
+    ({"store": 5}, "store must be a path: a string or a pathlib.Path, got 5"),
+]
 
 
 @pytest.mark.usefixtures("nothing_is_compiled")
-@pytest.mark.parametrize("name", ["old key", "rbg key", "text key", "no env", "no learner"])
-def test_a_wrong_type_is_refused_before_compilation(name: str):
-    wrong, message = wrong_type(name)
+@pytest.mark.parametrize(
+    ("wrong", "message"), OF_THE_WRONG_TYPE, ids=[str(options) for options, _ in OF_THE_WRONG_TYPE]
+)
+def test_a_wrong_type_is_refused_before_compilation(wrong: dict[str, Any], message: str):
     options = {"env": SMALL, "learner": PLANNED, "seeds": 2, "num_episodes": 5, "progress": False}
     with pytest.raises(TypeError, match=message):
         hrljax.sweep(**{**options, **wrong})
+
+
+@pytest.mark.usefixtures("nothing_is_compiled")
+def test_a_wrong_kind_of_key_is_refused():
+    for key, message in (
+        (jax.random.PRNGKey(0), "key must be a new-style key such as"),
+        (jax.random.key(0, impl="rbg"), "key must be a threefry2x32 key .*rbg"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            hrljax.sweep(SMALL, PLANNED, seeds=2, num_episodes=5, key=key)
 
 
 @pytest.mark.usefixtures("nothing_is_compiled")
@@ -186,10 +211,31 @@ def test_several_keys_are_refused():
         (lambda: hrljax.HORDQ(HIERARCHY, epsilon=-0.1), ValueError, r"HORDQ: epsilon must .* in \[0, 1\], got -0\.1"),
         (lambda: hrljax.MAXQ(HIERARCHY, discount=2), ValueError, r"MAXQ: discount must be .* in \[0, 1\], got 2"),
         (lambda: hrljax.QLearning(initial_value=np.inf), ValueError, "initial_value must be a finite number"),
+        (lambda: hrljax.QLearning(initial_value=1e60), ValueError, r"initial_value must be .*3.4e\+38\], got 1e\+60"),
+        (lambda: hrljax.QLearning(initial_value=10**400), ValueError, r"initial_value must be .*got 1000000.*\.\.\.$"),
+        (lambda: hrljax.QLearning(step_size=1e-60), ValueError, r"step_size must be .* in \(0, 1\], got 1e-60"),
+        (lambda: hrljax.QLearning(step_size="0.1"), TypeError, "step_size must be a number or a schedule, got '0.1'"),
+        (lambda: hrljax.QLearning(step_size=True), TypeError, "step_size must be a number or a schedule, got True"),
+        (lambda: hrljax.QLearning(step_size=np.array([0.1])), TypeError, r"step_size must be .*got array\(\[0.1\]\)"),
+        (lambda: hrljax.QLearning(step_size=lambda: 0.1), TypeError, r"step_size must be a function .*arguments \(\)"),
+        (lambda: hrljax.DynaQ(planning_steps=2.0), TypeError, "planning_steps must be an integer from 0 .*got 2.0"),
+        (lambda: hrljax.SARSALambda(trace_length=2**31 - 1), ValueError, "trace_length must be an integer from 1 to "),
+        (
+            lambda: hrljax.SARSALambda(trace=["replacing"]),
+            ValueError,
+            "trace must be one of 'accumulating', 'replacing'",
+        ),
+        (
+            lambda: hrljax.SearchRoot(priority="x"),
+            ValueError,
+            "priority must be one of 'cumulative', 'last_reward', got",
+        ),
+        (lambda: hrljax.SearchRoot(count=None), ValueError, "SearchRoot: count must be one of 'generated', .*got None"),
+        (lambda: hrljax.SearchRoot(answer="all"), ValueError, "SearchRoot: answer must be one of 'any', 'leaf', got"),
         (lambda: hrljax.QLearning(step_size="big"), TypeError, "step_size must be a number or a schedule, got 'big'"),
         (lambda: hrljax.QLearning(discount=abs), TypeError, "discount must be a number, not a schedule"),
-        (lambda: hrljax.ModelRoot(interval=0), ValueError, "interval must be an integer of at least 1, got 0"),
-        (lambda: hrljax.ModelRoot(sweeps=-1), ValueError, "sweeps must be an integer of at least 0, got -1"),
+        (lambda: hrljax.ModelRoot(interval=0), ValueError, "interval must be an integer from 1 to 2147483647, got 0"),
+        (lambda: hrljax.ModelRoot(sweeps=-1), ValueError, "sweeps must be an integer from 0 to 2147483647, got -1"),
         (lambda: hrljax.HORDQ(HIERARCHY, bootstrap="none"), ValueError, "bootstrap must be one of .*got 'none'"),
         (lambda: hrljax.HORDQ("Bus"), TypeError, "hierarchy must be a Hierarchy .*got 'Bus'"),
         (lambda: hrljax.HORDQ(HIERARCHY, root="random"), TypeError, "root must be None or a root .*got 'random'"),

@@ -11,6 +11,7 @@ A *boxed* map draws a cell as three characters with room for a wall on each side
 Cells are numbered row by row.
 """
 
+from itertools import dropwhile
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +53,9 @@ class Boxes(NamedTuple):
 
 
 def text_lines(text: str) -> tuple[str, ...]:
-    """The lines of a map without blanks at their ends and without blank lines after the last."""
-    return tuple(line.rstrip() for line in text.rstrip().splitlines())
+    """The lines of a map without blanks at their ends, and without blank lines before the first and after the last."""
+    lines = [line.rstrip() for line in text.rstrip().splitlines()]
+    return tuple(dropwhile(lambda line: not line, lines))
 
 
 def check_rectangle(lines: tuple[str, ...]) -> None:

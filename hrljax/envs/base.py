@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax import random
+from hrljax import checks, random
 from hrljax.envs import contract
 from hrljax.envs.checks import check_types
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, first_numbers
@@ -36,31 +36,43 @@ def concrete_params(params: Any) -> Any:
     Arithmetic on them then gives the bits that it gives on traced arrays.
 
     Raises:
+        TypeError: a field is no number, or ``max_steps`` no integer.
         ValueError: a number is not finite, a field ``*_probability`` is outside [0, 1], or
-            ``max_steps`` is no integer of at least 1.
+            ``max_steps`` is not from 1 to 2**31 - 1.
     """
-    checked = {}
-    for name, value in params._asdict().items():
-        if isinstance(value, Tracer):
-            checked[name] = value
-        elif name == "max_steps":
-            if isinstance(value, bool) or int(value) != value or value < 1:
-                raise ValueError(f"env.max_steps must be an integer of at least 1, got {value!r}")
-            checked[name] = int(value)
-        else:
-            low, high = (0.0, 1.0) if name.endswith("probability") else (-np.inf, np.inf)
-            if not (low <= float(value) <= high and np.isfinite(float(value))):
-                raise ValueError(f"env.{name} must be a finite number in [{low:g}, {high:g}], got {value!r}")
-            checked[name] = np.float32(value)
-    return params._replace(**checked)
+    return params._replace(**{field: concrete_number(field, value) for field, value in params._asdict().items()})
+
+
+def concrete_number(field: str, value: Any) -> Any:
+    """One of the numbers of an environment, as `concrete_params` gives it."""
+    if field == "max_steps":
+        return checks.integer(f"env.{field}", value, 1, may_be_traced=True)
+    interval = checks.SHARE if field.endswith("probability") else checks.ANY_NUMBER
+    value = checks.number(f"env.{field}", value, interval, may_be_traced=True)
+    return value if isinstance(value, Tracer) else np.float32(value)
+
+
+def numbers_of(env: "Environment[Any, Any]", params: Any) -> Any:
+    """The numbers of an environment, its default ones if None, as `concrete_params` gives them.
+
+    Raises:
+        TypeError, ValueError: `params` are not those of the environment; as `concrete_params`.
+    """
+    default = env.default_params
+    if params is None:
+        return concrete_params(default)
+    if not isinstance(params, tuple) or getattr(params, "_fields", None) != default._fields:
+        raise TypeError(
+            f"params must be a {type(default).__name__}, the numbers of {env.name}, such as "
+            f"env.default_params._replace(max_steps=5), got {checks.described(params)}"
+        )
+    return concrete_params(params)
 
 
 def check_options(env: object, options: Mapping[str, tuple[Any, ...]]) -> None:
     """Raises ValueError unless each attribute of `env` that `options` names has one of its values."""
     for option, allowed in options.items():
-        value = getattr(env, option)
-        if value not in allowed:
-            raise ValueError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+        checks.choice(option, getattr(env, option), allowed)
 
 
 def check_render_mode(env: "Environment[Any, Any]", mode: object) -> None:
@@ -150,7 +162,7 @@ class Environment(ABC, Generic[State, Params]):
     def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
         """Starts an episode: ``obs, state``. Consumes `key`."""
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_initial_words, _RESET_STREAM)
-        state = contract.initial(self, drawn, self._numbers(params))
+        state = contract.initial(self, drawn, numbers_of(self, params))
         return self.observation(state), state
 
     def step(
@@ -161,15 +173,15 @@ class Environment(ABC, Generic[State, Params]):
         `truncated` holds when ``params.max_steps`` steps were taken without termination. The
         episode is over when either holds; the caller then calls `reset`.
         """
-        numbers = self._numbers(params)
+        numbers, action = numbers_of(self, params), self._checked_action(action)
         drawn = random.words(random.key_words(key), jnp.uint32(0), self.num_words)
-        number = jnp.asarray(action, jnp.int32)
-        state, reward, terminated, info = contract.transition(self, state, number, drawn, numbers)
+        state, reward, terminated, info = contract.transition(self, state, action, drawn, numbers)
         truncated = (state.time >= numbers.max_steps) & ~terminated
         return self.observation(state), state, reward, terminated, truncated, info
 
-    def _numbers(self, params: Params | None) -> Any:
-        return concrete_params(self.default_params if params is None else params)
+    def _checked_action(self, action: Any) -> Array:
+        """An action as int32, if it is the number of one."""
+        return jnp.asarray(checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True), jnp.int32)
 
 
 class TabularEnvironment(Environment[State, Params]):
@@ -226,7 +238,7 @@ class TabularEnvironment(Environment[State, Params]):
             TypeError, ValueError: a method returns what it must not; the message names it, and the
                 state and the action where it did. `word_cuts` may lack a cut.
         """
-        numbers = self._numbers(params)
+        numbers = self._fixed_numbers(params)
         check_types(self, numbers)
         kinds = WordKinds(contract.word_cuts(self, numbers))
         outcomes = enumerate_outcomes(self, numbers, kinds)
@@ -238,7 +250,16 @@ class TabularEnvironment(Environment[State, Params]):
         Raises:
             TypeError, ValueError: as `model`, of `initial` and `initial_word_cuts`.
         """
-        numbers = self._numbers(params)
+        numbers = self._fixed_numbers(params)
         check_types(self, numbers)
         kinds = WordKinds(contract.initial_word_cuts(self, numbers))
         return np.bincount(first_numbers(self, numbers, kinds), weights=kinds.weights(), minlength=self.num_states)
+
+    def _fixed_numbers(self, params: Params | None) -> Any:
+        numbers = numbers_of(self, params)
+        if any(isinstance(number, Tracer) for number in numbers):
+            raise TypeError(
+                f"params must be fixed numbers where the exact model of {self.name} is made, got "
+                f"{checks.described(numbers)}"
+            )
+        return numbers

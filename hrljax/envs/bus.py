@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.base import TabularEnvironment, check_options
 from hrljax.envs.bus_map import KAO_V1, BusMap, parse
 from hrljax.hierarchy import Abstraction, Hierarchy, Subtask
@@ -61,6 +62,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
             ``"after"``, the move that damaged it included.
 
     Raises:
+        TypeError: the map is no string.
         MapError: the map cannot be read.
         ValueError: an option is unknown or the map is too large to number its states.
     """
@@ -79,6 +81,7 @@ class Bus(TabularEnvironment[BusState, BusParams]):
     renderer = "hrljax.envs.bus_render"
 
     def __post_init__(self) -> None:
+        checks.text("map", self.map, "hrljax.envs.bus_map.KAO_V1")
         check_options(self, _OPTIONS)
         layout = self.layout
         for what, count, most in (

@@ -18,6 +18,7 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import ArrayLike
 
+from hrljax import checks
 from hrljax.envs.ascii_map import MOVES, text_lines
 from hrljax.envs.base import TabularEnvironment
 
@@ -49,11 +50,9 @@ def text_with(text: str, marks: Iterable[tuple[int, int, str]], status: str | No
 
 
 def checked_integer(argument: str, value: ArrayLike, largest: int, meaning: str) -> int:
-    """`value`, after checking that it is an integer from 0 to `largest`."""
-    array = np.asarray(value)
-    if array.ndim or array.dtype.kind not in "iub" or not 0 <= array <= largest:
-        raise ValueError(f"{argument} must be an integer from 0 to {largest} ({meaning}), got {array.tolist()!r}")
-    return int(array)
+    """`value`, after checking that it is an integer from 0 to `largest`, or a bool that stands for 0 or 1."""
+    is_flag = checks.is_number(value, np.bool_)
+    return checks.integer(argument, int(value) if is_flag else value, 0, largest, meaning=meaning)  # type: ignore[arg-type]
 
 
 def policy_at(env: TabularEnvironment[Any, Any], policy: ArrayLike, states: ArrayLike) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax import checks
 from hrljax.envs.cell_world import CellMap, CellWorld
 from hrljax.envs.gridworld_map import FOUR_ROOMS, NAMED_MAPS, parse
 from hrljax.hierarchy import Hierarchy, Predicate, Subtask
@@ -34,6 +35,7 @@ class Gridworld(CellWorld[GridParams]):
             ``"four_rooms"`` or ``"cliff"``.
 
     Raises:
+        TypeError: the map is no string.
         MapError: the map cannot be read.
         ValueError: the name of the map is unknown, or the map has more than 255 starts.
     """
@@ -46,6 +48,7 @@ class Gridworld(CellWorld[GridParams]):
     metrics = ("pit",)
 
     def __post_init__(self) -> None:
+        checks.text("map", self.map, "'S.#\\n..G', or 'four_rooms'")
         if self.map.isidentifier() and self.map.islower():
             if self.map not in NAMED_MAPS:
                 raise ValueError(

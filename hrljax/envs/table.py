@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from hrljax import checks
 from hrljax.envs.base import TabularEnvironment
 from hrljax.numerics import take, take_row
 from hrljax.random import WORD_RANGE
-from hrljax.solvers.model import Model
+from hrljax.solvers.model import Model, check_model
 
 
 class TableState(NamedTuple):
@@ -35,32 +36,19 @@ class Table:
         initial: ``[S]`` probabilities of the first state.
 
     Raises:
+        TypeError: an argument is of the wrong kind.
         ValueError: a shape does not fit, a next state does not exist, probabilities are negative or
             do not sum to one, or a reward is not finite.
     """
 
     def __init__(self, model: Model, initial: np.ndarray):
+        check_model(model)
         self.model = Model(*(_frozen(field) for field in model))
-        self.initial = _frozen(np.asarray(initial, np.float64))
-        self._check()
+        self.initial = _frozen(checks.probabilities("initial", initial, model.num_states))
         digest = hashlib.sha256(repr([field.shape for field in self.model]).encode())
         for field in (*self.model, self.initial):
             digest.update(field.tobytes())
         self._digest = digest.hexdigest()
-
-    def _check(self) -> None:
-        model, size = self.model, self.model.num_states
-        if model.next_state.ndim != 3 or {field.shape for field in model} != {model.next_state.shape}:
-            raise ValueError(f"the arrays of a model must have one shape [S, A, K], got {[f.shape for f in model]}")
-        if not (model.next_state.min() >= 0 and model.next_state.max() < size):
-            raise ValueError(f"next states must be from 0 to {size - 1}")
-        if not np.isfinite(model.reward).all():
-            raise ValueError("rewards must be finite")
-        if self.initial.shape != (size,):
-            raise ValueError(f"initial must have shape ({size},), got {self.initial.shape}")
-        for name, probability in (("probability", model.probability), ("initial", self.initial)):
-            if not (probability.min() >= 0 and np.allclose(probability.sum(-1), 1, rtol=0, atol=1e-6)):
-                raise ValueError(f"{name} must have rows that are not negative and sum to one")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Table) and self._digest == other._digest
@@ -104,6 +92,10 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
     num_initial_words = 1
 
     def __post_init__(self) -> None:
+        checks.instance("table", self.table, Table, "a Table(model, initial)")
+        checks.text("name", self.name, "'Table'")
+        object.__setattr__(self, "max_steps", checks.integer("max_steps", self.max_steps, 1))
+        object.__setattr__(self, "action_names", checks.names("action_names", self.action_names))
         count = self.table.model.num_actions
         if not self.action_names:
             object.__setattr__(self, "action_names", tuple(map(str, range(count))))

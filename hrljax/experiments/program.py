@@ -8,7 +8,7 @@ from typing import Any, NoReturn, TypeVar
 
 import tyro
 
-from hrljax.train import check_count
+from hrljax import checks
 
 Options = TypeVar("Options")
 
@@ -28,7 +28,7 @@ def check_counts(options: Any, *names: str) -> None:
     """Checks options that are counts, and ``key`` and ``cores`` where there are such.
 
     Raises:
-        ValueError: one is no integer of at least 1 (of at least 0 for ``key``; ``cores`` may be None).
+        TypeError, ValueError: one is no integer from 1 (from 0 for ``key``; ``cores`` may be None) to 2**31 - 1.
     """
     least = dict.fromkeys(names, 1)
     if hasattr(options, "key"):
@@ -36,7 +36,7 @@ def check_counts(options: Any, *names: str) -> None:
     if getattr(options, "cores", None) is not None:
         least["cores"] = 1
     for name, smallest in least.items():
-        check_count(f"--{name.replace('_', '-')}", getattr(options, name), smallest)
+        checks.integer(f"--{name.replace('_', '-')}", getattr(options, name), smallest)
 
 
 def write_summary(out: Path, summary: Any) -> None:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.envs.base import Environment, concrete_params
+from hrljax.envs.base import Environment, numbers_of
 from hrljax.envs.registry import make
 
 Env = Environment[Any, Any]
@@ -50,7 +50,7 @@ def made(environment: str | Env, params: Any, options: Mapping[str, Any]) -> tup
             names = ", ".join(sorted(unknown))
             raise ValueError(f"params of {env.name} must be among {', '.join(numbers._fields)}, got {names}")
         params = numbers._replace(**params)
-    return env, concrete_params(env.default_params if params is None else params)
+    return env, numbers_of(env, params)
 
 
 def draw_key(generator: np.random.Generator) -> np.ndarray:

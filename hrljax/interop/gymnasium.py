@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 
+from hrljax import checks
 from hrljax.envs.base import Environment, check_render_mode
 from hrljax.interop import episodes
 from hrljax.interop.gymnasium_table import from_table
@@ -71,7 +72,8 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             ValueError: `options` has entries; there are none to set.
         """
         super().reset(seed=seed)
-        if options:
+        if checks.instance("options", options or {}, Mapping, "an empty mapping or None"):
+            assert options is not None
             raise ValueError(f"options must be empty, got {', '.join(options)}")
         self._key = jnp.asarray(episodes.draw_key(self.np_random))
         observation, self.state = episodes.begin(self.environment, self.params, self._key)
@@ -83,12 +85,11 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             ResetNeeded: no episode has begun, or it is over.
-            ValueError: there is no such action.
+            TypeError, ValueError: there is no such action.
         """
         if not self._goes_on:
             raise ResetNeeded("step needs an episode that goes on: call reset first")
-        if not 0 <= (number := int(action)) < self.environment.num_actions:
-            raise ValueError(f"action must be from 0 to {self.environment.num_actions - 1}, got {number}")
+        number = checks.integer("action", action, 0, self.environment.num_actions - 1)
         stepped = episodes.advance(self.environment, self.params, self._key, self.state, np.int32(number))
         observation, self.state, *outcome = stepped
         reward, terminated, truncated, info = jax.device_get(outcome)

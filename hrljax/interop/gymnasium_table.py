@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from hrljax import checks
 from hrljax.envs.table import Table, TableEnvironment
 from hrljax.solvers.model import Model
 
@@ -29,6 +30,7 @@ def from_table(
         TypeError: the spaces are not discrete from 0 on, there is no table, or `initial` is needed.
         ValueError: an entry of the table is missing or makes no distribution.
     """
+    checks.instance("env", env, (gymnasium.Env, str), "a Gymnasium environment or its id")
     env = gymnasium.make(env) if isinstance(env, str) else env
     source: Any = env.unwrapped
     name = type(source).__name__ if env.spec is None else env.spec.id
@@ -39,11 +41,13 @@ def from_table(
         if not hasattr(source, "initial_state_distrib"):
             raise TypeError(f"initial must be given, for {name} has no env.unwrapped.initial_state_distrib")
         initial = source.initial_state_distrib
-    if max_steps is None:
+    if max_steps is not None:
+        checks.integer("max_steps", max_steps, 1)
+    else:
         limit = None if env.spec is None else env.spec.max_episode_steps
         max_steps = _DEFAULT_MAX_STEPS if limit is None else limit
     model = _model(name, source.P, sizes[0], sizes[1])
-    return TableEnvironment(Table(model, np.asarray(initial, np.float64)), name=name, max_steps=max_steps)
+    return TableEnvironment(Table(model, np.asarray(initial)), name=name, max_steps=max_steps)
 
 
 def _size(name: str, field: str, space: object) -> int:

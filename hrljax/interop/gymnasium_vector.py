@@ -11,6 +11,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from hrljax import checks
 from hrljax.envs.base import Environment, check_render_mode
 from hrljax.interop import episodes
 from hrljax.interop.numpy_values import METADATA, as_element, entry, metadata_of, widened
@@ -52,11 +53,10 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
         max_episode_steps: int | None = None,
         **options: Any,
     ):
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
+        num_envs = checks.integer("num_envs", num_envs, 1)
         self.environment, numbers = episodes.made(environment, params, options)
         if max_episode_steps is not None:
-            limit = min(numbers.max_steps, max_episode_steps)
+            limit = min(numbers.max_steps, checks.integer("max_episode_steps", max_episode_steps, 1))
             self.environment, numbers = episodes.made(self.environment, numbers._replace(max_steps=limit), {})
         self.params = numbers
         if render_mode is not None:
@@ -98,9 +98,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
             TypeError: the mask is no array of bool.
             ResetNeeded: a mask leaves out an environment that has never been reset.
         """
+        checks.instance("options", options or {}, Mapping, "a mapping or None")
         mask = self._reset_mask(options or {})
         if seed is None or isinstance(seed, int | np.integer):
             seed = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        checks.instance("seed", seed, (Sequence, np.ndarray), "an integer, a sequence of integers or None")
         if len(seed) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} environments, got {len(seed)}")
         for i, own in enumerate(seed):

@@ -11,10 +11,12 @@ from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax.envs.base import Environment, TabularEnvironment, check_options
+from hrljax import checks
+from hrljax.envs.base import Environment, TabularEnvironment, check_options, concrete_number
 from hrljax.interop.episodes import made
 from hrljax.interop.gymnax_spaces import box_of_ones, gymnax_space
 
@@ -40,13 +42,17 @@ class GymnaxParams:
         """The same numbers but for `changes`.
 
         Raises:
-            ValueError: there is no number of that name.
+            TypeError: a number is of the wrong kind.
+            ValueError: there is no number of that name, or it is out of range.
         """
         if "max_steps_in_episode" in changes:
             changes["max_steps"] = changes.pop("max_steps_in_episode")
         if unknown := set(changes) - set(self.numbers._fields):
             names = ", ".join(sorted(unknown))
             raise ValueError(f"params must be among {', '.join(self.numbers._fields)}, got {names}")
+        for name, value in changes.items():
+            if np.ndim(value) == 0:  # arrays are for `jax.vmap`, which gives one of their entries to each environment
+                concrete_number(name, value)
         return GymnaxParams(self.numbers._replace(**changes))
 
     def __getattr__(self, name: str) -> Any:
@@ -73,6 +79,7 @@ class GymnaxEnvironment:
             terminated, truncated, info), or 5 as before (..., reward, done, info).
 
     Raises:
+        TypeError: `environment` is no environment.
         ValueError: an attribute has another value, or `one_hot` does not fit the environment.
     """
 
@@ -81,6 +88,7 @@ class GymnaxEnvironment:
     step_values: Literal[5, 6] = 6
 
     def __post_init__(self) -> None:
+        checks.instance("environment", self.environment, Environment, "an environment such as hrljax.make('Bus')")
         check_options(self, {"one_hot": (False, True), "step_values": (5, 6)})
         if self.one_hot and not isinstance(self.environment, TabularEnvironment):
             raise ValueError(f"one_hot needs a tabular environment, got {self.environment!r}")
@@ -135,8 +143,7 @@ class GymnaxEnvironment:
         return obs, state, reward, terminated if self.step_values == 6 else terminated | truncated, events
 
     def _native_step(self, key: Array, state: Any, action: Any, params: GymnaxParams | None) -> tuple[Any, ...]:
-        number = jnp.asarray(action).astype(jnp.int32)
-        _, after, *outcome = self.environment.step(_new_style(key), state, number, self._numbers(params))
+        _, after, *outcome = self.environment.step(_new_style(key), state, action, self._numbers(params))
         return self.get_obs(after), after, *outcome
 
     def get_obs(self, state: Any, params: GymnaxParams | None = None, key: Array | None = None) -> Any:
@@ -166,7 +173,9 @@ class GymnaxEnvironment:
 
     def _numbers(self, params: GymnaxParams | None) -> Any:
         """The environment's numbers; traced ones as float32, and int32 for the limit of steps."""
-        numbers = (self.default_params if params is None else params).numbers
+        params = self.default_params if params is None else params
+        checks.instance("params", params, GymnaxParams, "GymnaxParams such as env.default_params.replace(max_steps=5)")
+        numbers = params.numbers
         dtypes = {name: jnp.int32 if name == "max_steps" else jnp.float32 for name in numbers._fields}
         traced = {name: value for name, value in numbers._asdict().items() if isinstance(value, Tracer)}
         return numbers._replace(**{name: jnp.asarray(value, dtypes[name]) for name, value in traced.items()})

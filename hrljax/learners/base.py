@@ -1,7 +1,6 @@
 """What a training loop asks of a learner, and how hyper-parameters are declared."""
 
 import dataclasses
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
@@ -12,8 +11,10 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
+from hrljax import checks
 from hrljax.evaluate import HierarchicalPolicy, expected_return
 from hrljax.numerics import take
+from hrljax.tracing_errors import explain_tracing
 
 Schedule: TypeAlias = Callable[[Any], Any]
 """A number as a function of the episode's number, such as those of optax."""
@@ -21,10 +22,14 @@ Hyperparameter: TypeAlias = "float | Schedule | Array"
 
 
 def hyperparameter(
-    default: Any, low: float = -math.inf, high: float = math.inf, low_open: bool = False, schedule: bool = False
+    default: Any,
+    low: float = -checks.LARGEST_NUMBER,
+    high: float = checks.LARGEST_NUMBER,
+    low_open: bool = False,
+    schedule: bool = False,
 ) -> Any:
     """A dataclass field that may be swept, with the interval that it must lie in."""
-    metadata = {"sweepable": True, "low": low, "high": high, "low_open": low_open, "schedule": schedule}
+    metadata = {"sweepable": True, "interval": checks.Interval(low, high, low_open), "schedule": schedule}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -37,15 +42,19 @@ class Settings:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.metadata.get("sweepable") and not isinstance(value, Tracer):
-                _check_number(type(self).__name__, field, value)
+            if field.metadata.get("sweepable"):
+                self._set(field.name, _checked(type(self).__name__, field, getattr(self, field.name)))
 
-    def _check_integer(self, option: str, least: int) -> None:
-        """Raises unless a static option is an integer of at least `least`."""
-        value = getattr(self, option)
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**31:
-            raise ValueError(f"{type(self).__name__}: {option} must be an integer of at least {least}, got {value!r}")
+    def _check_integer(self, option: str, least: int, most: int = checks.LARGEST_INTEGER) -> None:
+        """Raises unless a static option is an integer from `least` to `most`."""
+        self._set(option, checks.integer(f"{type(self).__name__}: {option}", getattr(self, option), least, most))
+
+    def _check_choice(self, option: str, allowed: Any) -> None:
+        """Raises ValueError unless a static option is one of some values, or of those of a literal type."""
+        checks.choice(f"{type(self).__name__}: {option}", getattr(self, option), allowed)
+
+    def _set(self, option: str, value: Any) -> None:
+        object.__setattr__(self, option, value)
 
     def replaced(self, values: Mapping[str, Any]) -> Self:
         """A copy with some fields replaced; ``"root.step_size"`` reaches into a field that has fields."""
@@ -79,21 +88,15 @@ class Settings:
         return found
 
 
-def _check_number(owner: str, field: "dataclasses.Field[Any]", value: Any) -> None:
-    rule = field.metadata
-    if callable(value):
-        if not rule["schedule"]:
-            raise TypeError(f"{owner}: {field.name} must be a number, not a schedule")
-        return
-    low, high = rule["low"], rule["high"]
-    allowed = f"{'(' if rule['low_open'] else '['}{low:g}, {high:g}]"
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        also = " or a schedule" if rule["schedule"] else ""
-        raise TypeError(f"{owner}: {field.name} must be a number{also}, got {value!r}") from None
-    if not (low <= number <= high and math.isfinite(number)) or (rule["low_open"] and number == low):
-        raise ValueError(f"{owner}: {field.name} must be a finite number in {allowed}, got {value!r}")
+def _checked(owner: str, field: "dataclasses.Field[Any]", value: Any) -> Any:
+    """A hyper-parameter's value, if it is a number in its interval, or a schedule where that is allowed."""
+    name, takes_schedule = f"{owner}: {field.name}", field.metadata["schedule"]
+    if not callable(value):
+        also = " or a schedule" if takes_schedule else ""
+        return checks.number(name, value, field.metadata["interval"], also=also, may_be_traced=True)
+    if not takes_schedule:
+        raise TypeError(f"{name} must be a number, not a schedule")
+    return checks.function(name, value, "of the episode's number")
 
 
 class Moment(NamedTuple):
@@ -213,7 +216,8 @@ def tabulated(learner: Learner, num_episodes: int, first_episode: Any = 0) -> Le
         first_episode: how many it has learned from before; they are in the table too.
 
     Raises:
-        TypeError: there is a schedule, and `first_episode` is not known before compilation.
+        TypeError: a schedule does not return one number, or cannot be traced by JAX; or there is one, and
+            `first_episode` is not known before compilation.
         ValueError: a schedule leaves the interval of its hyper-parameter; names the episode.
     """
     tables: dict[str, Any] = {}
@@ -225,16 +229,28 @@ def tabulated(learner: Learner, num_episodes: int, first_episode: Any = 0) -> Le
                     f"{type(learner).__name__}: {field.name} is a schedule, so the episodes of what training starts "
                     "from must be a number that is known before compilation"
                 )
-            last = int(first_episode) + num_episodes
-            with jax.ensure_compile_time_eval():
-                values = np.asarray(jax.vmap(schedule)(jnp.arange(last, dtype=jnp.int32)), np.float32)
+            what, last = f"the schedule of {type(learner).__name__}: {field.name}", int(first_episode) + num_episodes
+            values = _at_all_episodes(what, schedule, last)
             for episode in (values.argmin(), values.argmax(), 0):
                 try:
-                    _check_number(type(learner).__name__, field, values[episode])
+                    _checked(type(learner).__name__, field, values[episode])
                 except ValueError as error:
                     raise ValueError(f"{error} by its schedule at episode {episode}") from None
             tables[field.name] = Tabulated(values)
     return dataclasses.replace(learner, **tables) if tables else learner
+
+
+def _at_all_episodes(what: str, schedule: Schedule, num_episodes: int) -> np.ndarray:
+    """``[episodes]`` float32: the values of a schedule, which messages call `what`."""
+
+    def at(episode: Array) -> Array:
+        value = schedule(episode)
+        if not checks.is_number(value):
+            raise TypeError(f"{what} must return one number for an episode, not {checks.returned(value)}")
+        return jnp.asarray(value)
+
+    with explain_tracing(what), jax.ensure_compile_time_eval():
+        return np.asarray(jax.vmap(at)(jnp.arange(num_episodes, dtype=jnp.int32)), np.float32)
 
 
 class Tabulated:

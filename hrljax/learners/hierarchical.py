@@ -20,22 +20,23 @@ from hrljax.learners.task_graph import TaskGraph
 from hrljax.learners.task_stack import Control, Ended, StackLearner, readable
 from hrljax.numerics import put_row, stage, take_row
 
+Bootstrap = Literal["greedy", "on_policy"]
+PseudoRewardIn = Literal["own_table", "backup"]
 _PARTS = len(td.Parts._fields)
 
 
 @dataclass(frozen=True)
 class _Decomposed(StackLearner):
     pseudo_reward: Hyperparameter = hyperparameter(0.0, schedule=True)
-    bootstrap: Literal["greedy", "on_policy"] = field(default="greedy", kw_only=True)
-    pseudo_reward_in: Literal["own_table", "backup"] = field(default="own_table", kw_only=True)
+    bootstrap: Bootstrap = field(default="greedy", kw_only=True)
+    pseudo_reward_in: PseudoRewardIn = field(default="own_table", kw_only=True)
 
     _has_exit_value: ClassVar[bool]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for option, allowed in (("bootstrap", ("greedy", "on_policy")), ("pseudo_reward_in", ("own_table", "backup"))):
-            if getattr(self, option) not in allowed:
-                raise ValueError(f"{self.name}: {option} must be one of {allowed}, got {getattr(self, option)!r}")
+        self._check_choice("bootstrap", Bootstrap)
+        self._check_choice("pseudo_reward_in", PseudoRewardIn)
 
     @property
     def _is_on_policy(self) -> bool:

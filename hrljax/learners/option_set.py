@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hrljax import checks
 from hrljax.envs.base import TabularEnvironment
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners.task_tables import tabulate
@@ -35,6 +36,7 @@ class Options:
         primitives: whether every primitive action is an option of one step as well, before the others.
 
     Raises:
+        TypeError: an attribute is of the wrong kind.
         ValueError: a shape does not fit, there is no option, a name is used twice, an option takes an unknown
             action, or can be initiated nowhere, or terminates wherever it can be initiated. The
             message names the option.
@@ -49,18 +51,16 @@ class Options:
 
     def __post_init__(self) -> None:
         for field in ("actions", "names"):
-            object.__setattr__(self, field, tuple(getattr(self, field)))
+            object.__setattr__(self, field, checks.names(field, getattr(self, field)))
+        checks.flag("primitives", self.primitives)
         for field, kind, what in (
-            ("policy", np.integer, "int32"),
-            ("termination", np.bool_, "bool"),
-            ("initiation", np.bool_, "bool"),
+            ("policy", np.integer, "integers"),
+            ("termination", np.bool_, "bools"),
+            ("initiation", np.bool_, "bools"),
         ):
-            array = np.asarray(getattr(self, field))
-            if array.ndim != 2 or len(array) != len(self.names) or not np.issubdtype(array.dtype, kind):
-                raise ValueError(
-                    f"{field} must be {what} of shape [options, states], with {len(self.names)} options, "
-                    f"got {array.dtype} of shape {array.shape}"
-                )
+            array = checks.as_array(field, getattr(self, field), kind, (len(self.names), None), what)
+            if array.size and not -(2**31) <= array.min() <= array.max() < 2**31:
+                raise ValueError(f"{field} must be numbers of actions, got {array.min()} to {array.max()}")
             array = array.astype(np.int32 if field == "policy" else np.bool_)  # a copy of our own
             array.setflags(write=False)
             object.__setattr__(self, field, array)
@@ -136,7 +136,12 @@ class Options:
 
 
 def primitive_options(env: TabularEnvironment[Any, Any]) -> Options:
-    """Every primitive action as an option of one step, and no other option."""
+    """Every primitive action as an option of one step, and no other option.
+
+    Raises:
+        TypeError: `env` is no tabular environment.
+    """
+    checks.instance("env", env, TabularEnvironment, "a tabular environment such as hrljax.make('Bus')")
     none = np.zeros((0, env.num_states), np.bool_)
     return Options(env.action_names, (), none.astype(np.int32), none, none)
 
@@ -167,10 +172,13 @@ def options_from(
         params: numbers of the environment, `env.default_params` if None.
 
     Raises:
-        ValueError: a name is no such subtask, or there is none; as `Options`.
+        TypeError: an argument is of the wrong kind.
+        ValueError: a number is out of range, a name is no such subtask, or there is none; as `Options`.
     """
+    checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
+    pseudo_reward = checks.number("pseudo_reward", pseudo_reward)
     simple = [t.name for t in hierarchy.subtasks[1:] if all(map(hierarchy.is_primitive, t.children))]
-    names = simple if names is None else list(names)
+    names = simple if names is None else checks.names("names", names)
     for name in names:
         if name not in simple:
             raise ValueError(

@@ -7,15 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.base import TabularEnvironment
 from hrljax.evaluate import HierarchicalPolicy
 from hrljax.learners import td
 from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
 from hrljax.learners.option_set import Options
 from hrljax.learners.task_graph import Kind, TaskGraph
-from hrljax.learners.task_tables import TaskTables
+from hrljax.learners.task_tables import TaskTables, state_in_words
 from hrljax.numerics import exact_product, put_row, take_row
 from hrljax.random import threshold
+
+Update = Literal["smdp", "intra_option"]
 
 
 class Running(NamedTuple):
@@ -61,7 +64,7 @@ class OptionQ(Learner):
     """
 
     options: Options
-    update: Literal["smdp", "intra_option"] = field(default="smdp", kw_only=True)
+    update: Update = field(default="smdp", kw_only=True)
     step_size: Hyperparameter = hyperparameter(0.1, 0, 1, low_open=True, schedule=True)
     epsilon: Hyperparameter = hyperparameter(0.1, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
@@ -73,10 +76,8 @@ class OptionQ(Learner):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.options, Options):
-            raise TypeError(f"OptionQ: options must be Options such as options_from(...), got {self.options!r}")
-        if self.update not in ("smdp", "intra_option"):
-            raise ValueError(f"OptionQ: update must be 'smdp' or 'intra_option', got {self.update!r}")
+        checks.instance("OptionQ: options", self.options, Options, "Options such as options_from(...)")
+        self._check_choice("update", Update)
 
     def prepare(self, env: TabularEnvironment[Any, Any]) -> OptionTables:
         """Raises ValueError if the options are not over the environment, or in some state none can begin."""
@@ -205,7 +206,7 @@ def _check_always_one(options: Options, env: TabularEnvironment[Any, Any]) -> No
         start = int(calls.pop())
         startable = np.flatnonzero(options.initiation[:, start])
         if not len(startable):
-            raise ValueError(f"no option can be initiated in state {start}, {env.decode(jnp.int32(start))}")
+            raise ValueError(f"no option can be initiated in {state_in_words(env, start)}")
         runs = [(int(o), start) for o in startable]
         while runs:
             option, state = runs.pop()

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
 from hrljax.envs.mario.state import MAX_SPRITES
@@ -24,6 +25,7 @@ from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerSta
 from hrljax.learners.search_root import SearchRoot
 from hrljax.numerics import exact_product, put_row, take_row
 
+Bootstrap = Literal["on_policy", "greedy"]
 Concepts = tuple[Array, Array]
 """Numbers of the concepts that hold (int32 [MAX_SPRITES], those that do first) and how many they are (int32)."""
 
@@ -84,7 +86,7 @@ class RelationalHORDQ(Learner):
     trace_decay: Hyperparameter = hyperparameter(0.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
     trace_length: int = 0
-    bootstrap: Literal["on_policy", "greedy"] = "on_policy"
+    bootstrap: Bootstrap = "on_policy"
 
     name = "relational HORDQ"
     is_tabular = False
@@ -93,10 +95,9 @@ class RelationalHORDQ(Learner):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.root is not None and not isinstance(self.root, SearchRoot):
-            raise TypeError(f"{self.name}: root must be None or a SearchRoot, got {self.root!r}")
-        if self.bootstrap not in ("on_policy", "greedy"):
-            raise ValueError(f"{self.name}: bootstrap must be 'on_policy' or 'greedy', got {self.bootstrap!r}")
+        if self.root is not None:
+            checks.instance("RelationalHORDQ: root", self.root, SearchRoot, "None or a SearchRoot")
+        self._check_choice("bootstrap", Bootstrap)
         self._check_integer("trace_length", 0)
 
     @property
@@ -104,8 +105,7 @@ class RelationalHORDQ(Learner):
         return 0 if self.root is None else self.root.refit_interval
 
     def prepare(self, env: Any) -> Prepared:
-        if not isinstance(env, Mario):
-            raise TypeError(f"{self.name} needs Mario, hrljax.make('Mario'), got {env!r}")
+        checks.instance("env", env, Mario, "Mario, hrljax.make('Mario'), for RelationalHORDQ")
         return Prepared(env, env.num_actions)
 
     def init(self, env: Any, prepared: Prepared) -> LearnerState:

@@ -159,10 +159,8 @@ class ModelRoot(Root):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for option, least in (("interval", 1), ("sweeps", 0)):
-            value = getattr(self, option)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise ValueError(f"ModelRoot: {option} must be an integer of at least {least}, got {value!r}")
+        self._check_integer("interval", 1)
+        self._check_integer("sweeps", 0)
 
     @property
     def planning_interval(self) -> int:

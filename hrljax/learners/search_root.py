@@ -6,11 +6,14 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.mario.env import Mario
 from hrljax.learners.base import Experience, Hyperparameter, Moment, Settings, hyperparameter
 from hrljax.models.mario_dynamics import MarioDynamics
 from hrljax.models.mario_model import MarioModel
 from hrljax.planners.best_first import Answer, Count, Priority, SearchResult, best_first_search
+
+Follow = Literal["every_step", "sequence"]
 
 
 class Plan(NamedTuple):
@@ -41,17 +44,16 @@ class SearchRoot(Settings):
     count: Count = "generated"
     priority: Priority = "cumulative"
     answer: Answer = "any"
-    follow: Literal["every_step", "sequence"] = "every_step"
+    follow: Follow = "every_step"
     refit_interval: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("depth", "max_nodes", "refit_interval"):
             self._check_integer(name, 1)
-        if self.follow not in ("every_step", "sequence"):
-            raise ValueError(f"SearchRoot: follow must be 'every_step' or 'sequence', got {self.follow!r}")
-        if not isinstance(self.model, MarioModel | MarioDynamics):
-            raise TypeError(f"SearchRoot: model must be a MarioModel or MarioDynamics, got {self.model!r}")
+        for name, allowed in (("count", Count), ("priority", Priority), ("answer", Answer), ("follow", Follow)):
+            self._check_choice(name, allowed)
+        checks.instance("SearchRoot: model", self.model, (MarioModel, MarioDynamics), "a MarioModel or MarioDynamics")
 
     def init(self, env: Mario) -> Any:
         return self.model.init(env)

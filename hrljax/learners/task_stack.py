@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.base import TabularEnvironment
 from hrljax.evaluate import HierarchicalPolicy
 from hrljax.hierarchy import Hierarchy
@@ -95,17 +96,14 @@ class StackLearner(ChildValues):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.hierarchy, Hierarchy):
-            raise TypeError(
-                f"{self.name}: hierarchy must be a Hierarchy such as env.hierarchy(), got {self.hierarchy!r}"
-            )
+        owner = type(self).__name__
+        checks.instance(f"{owner}: hierarchy", self.hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
         if self.root is None:
             return
-        if not isinstance(self.root, Root):
-            raise TypeError(f"{self.name}: root must be None or a root such as ModelRoot(), got {self.root!r}")
+        checks.instance(f"{owner}: root", self.root, Root, "None or a root such as ModelRoot()")
         if any(map(self.hierarchy.is_primitive, self.hierarchy.root.children)):
             raise ValueError(
-                f"{self.name}: the root {self.hierarchy.root.name!r} has a primitive child, so it must learn: root=None"
+                f"{owner}: the root {self.hierarchy.root.name!r} has a primitive child, so it must learn: root=None"
             )
 
     @property

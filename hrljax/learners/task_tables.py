@@ -9,11 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax import checks
 from hrljax.envs import contract
 from hrljax.envs.base import TabularEnvironment
-from hrljax.hierarchy import Hierarchy, Predicate
+from hrljax.hierarchy import Hierarchy, Predicate, Subtask
 from hrljax.planners.abstract_dp import DecisionPoints
 from hrljax.solvers.model import Model
+from hrljax.tracing_errors import explain_tracing
 
 _LANES = 8
 """float32 numbers in a vector register."""
@@ -41,11 +43,63 @@ class TaskTables:
         )
 
 
-def over_states(predicate: Predicate, env: TabularEnvironment[Any, Any]) -> np.ndarray:
-    """The value of a function of one state at every state number, ``[S]``."""
+def over_states(function: Predicate, env: TabularEnvironment[Any, Any], what: str, kinds: Any, kind: str) -> np.ndarray:
+    """The value of a function of one state at every state number, ``[S]``.
+
+    Args:
+        function: of a state.
+        env: whose states.
+        what: the function's name in messages.
+        kinds: what it may return, as a tuple of NumPy's kinds of scalars.
+        kind: what messages call that.
+
+    Raises:
+        TypeError: the function returns something else, or cannot be traced by JAX.
+    """
+
+    def at(index: jax.Array) -> jax.Array:
+        value = function(contract.decode(env, index))
+        dtype = checks.dtype_of_scalar(value)
+        if dtype is None or not any(jnp.issubdtype(dtype, allowed) for allowed in kinds):
+            raise TypeError(f"{what} must return {kind} for a state, not {checks.returned(value)}")
+        return jnp.asarray(value)
+
+    with explain_tracing(what), jax.ensure_compile_time_eval():
+        return np.asarray(jax.vmap(at)(jnp.arange(env.num_states, dtype=jnp.int32)))
+
+
+def _terminated(task: Subtask, env: TabularEnvironment[Any, Any]) -> np.ndarray:
+    """``[S]`` bool: where a subtask is terminated."""
+    return over_states(task.termination, env, f"subtask {task.name!r}: termination", (np.bool_,), "one bool")
+
+
+def _goal(task: Subtask, env: TabularEnvironment[Any, Any]) -> np.ndarray:
+    """``[S]`` float32: the factor of a subtask's pseudo-reward."""
+    if task.goal is None:
+        return np.zeros(env.num_states, np.float32)
+    what = f"subtask {task.name!r}: goal"
+    goal = over_states(task.goal, env, what, (np.bool_, np.integer, np.floating), "one bool or number")
+    goal = goal.astype(np.float32)
+    if not np.isfinite(goal).all():
+        state = int(np.argmin(np.isfinite(goal)))
+        raise ValueError(f"{what} must return finite numbers, got {goal[state]} in {state_in_words(env, state)}")
+    return goal
+
+
+def parts_of_states(task: Subtask, env: TabularEnvironment[Any, Any]) -> list[np.ndarray]:
+    """Numbers of the two parts of every state, planning and environment, ``[S]`` each; none without an abstraction."""
+    parts = {} if task.abstraction is None else task.abstraction._asdict()
+    return [
+        over_states(part, env, f"subtask {task.name!r}: abstraction.{name}", (np.bool_, np.integer), "one integer")
+        for name, part in parts.items()
+    ]
+
+
+def state_in_words(env: TabularEnvironment[Any, Any], state: int) -> str:
+    """A state with its number, for messages."""
     with jax.ensure_compile_time_eval():
-        numbers = jnp.arange(env.num_states, dtype=jnp.int32)
-        return np.asarray(jax.vmap(lambda index: predicate(contract.decode(env, index)))(numbers))
+        fields = jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), contract.decode(env, jnp.int32(state)))
+        return f"state {state}, {fields}"
 
 
 @lru_cache(maxsize=64)
@@ -53,18 +107,18 @@ def tabulate(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTab
     """Evaluates a hierarchy's predicates at every state.
 
     Raises:
+        TypeError: an argument is of the wrong kind, or a predicate returns something of the wrong kind.
         ValueError: the actions differ from the environment's, there are more than 32 subtasks, or
             an active subtask has no child to invoke in some state. The message names the subtask.
     """
+    checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
+    checks.instance("env", env, TabularEnvironment, "a tabular environment such as hrljax.make('Bus')")
     if hierarchy.actions != env.action_names:
         raise ValueError(f"the hierarchy is over actions {hierarchy.actions}, {env.name} has {env.action_names}")
     if len(hierarchy.subtasks) > 32:
         raise ValueError(f"a hierarchy has at most 32 subtasks, got {len(hierarchy.subtasks)}")
-    active = np.stack([~over_states(task.termination, env).astype(np.bool_) for task in hierarchy.subtasks])
-    nowhere = np.zeros(env.num_states, np.float32)
-    goal = np.stack(
-        [nowhere if t.goal is None else over_states(t.goal, env).astype(np.float32) for t in hierarchy.subtasks]
-    )
+    active = np.stack([~_terminated(task, env) for task in hierarchy.subtasks])
+    goal = np.stack([_goal(task, env) for task in hierarchy.subtasks])
     for number, task in enumerate(hierarchy.subtasks):
         if not active[number].any():
             raise ValueError(f"subtask {task.name!r} is terminated in every state")
@@ -72,9 +126,9 @@ def tabulate(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTab
             continue
         stuck = active[number] & ~active[[hierarchy.index(c) for c in task.children]].any(0)
         if stuck.any():
-            where = env.decode(np.flatnonzero(stuck)[0])
+            where = state_in_words(env, int(np.flatnonzero(stuck)[0]))
             raise ValueError(
-                f"subtask {task.name!r} has no child to invoke in {stuck.sum()} states, for example {where}"
+                f"subtask {task.name!r} has no child to invoke in {stuck.sum()} states, for example in {where}"
             )
     children = [hierarchy.index(c) for c in hierarchy.root.children if not hierarchy.is_primitive(c)]
     invokes = np.isin(np.arange(len(hierarchy.subtasks)), children)
@@ -106,13 +160,13 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
         ValueError: the root has no abstraction, or it does not tell all states apart.
     """
     tables = tabulate(hierarchy, env)
-    abstraction = hierarchy.root.abstraction
-    if abstraction is None:
+    if hierarchy.root.abstraction is None:
         raise ValueError(f"a root that plans needs an abstraction; subtask {hierarchy.root.name!r} has none")
     model = env.model()
     decides = decision_states(tables, model, env.initial_distribution())
-    x_of, x_names = _numbered(over_states(abstraction.planning, env), decides)
-    y_of, y_names = _numbered(over_states(abstraction.environment, env), decides)
+    planning, environment = parts_of_states(hierarchy.root, env)
+    x_of, x_names = _numbered(planning, decides)
+    y_of, y_names = _numbered(environment, decides)
     in_grid = (x_of >= 0) & (y_of >= 0)
     num_y = -(-len(y_names) // _LANES) * _LANES
     points = x_of * num_y + y_of
@@ -129,7 +183,6 @@ def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> 
     tasks = np.zeros((len(x_names), num_slots), np.int32)
     can_invoke = np.zeros((len(x_names), num_slots, num_y), np.bool_)
     outcomes: list[list[int]] = []
-    planning = over_states(abstraction.planning, env)
     leaves = [_exits(active, model, planning) for active in tables.active[1:]]
     for x in range(len(x_names)):
         children = np.flatnonzero(somewhere[:, x])

@@ -5,7 +5,7 @@ visited last and walks it from the newest to the oldest, instead of decaying a t
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -17,6 +17,8 @@ from hrljax.learners.flat import StepSizeLearner, row_of
 from hrljax.numerics import exact_product, put_row, take, take_row
 
 _NO_PAIR = -1
+_LONGEST = 1 << 24
+"""Visits that a ring may hold."""
 _Kind = Literal["accumulating", "replacing"]
 
 
@@ -53,12 +55,8 @@ class _Traced(StepSizeLearner):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_integer("trace_length", 1)
-        if self.trace not in get_args(_Kind):
-            raise ValueError(
-                f"{type(self).__name__}: trace must be one of {', '.join(map(repr, get_args(_Kind)))}, "
-                f"got {self.trace!r}"
-            )
+        self._check_integer("trace_length", 1, _LONGEST)
+        self._check_choice("trace", _Kind)
 
     @property
     def _ring(self) -> int:
@@ -160,7 +158,7 @@ class SARSALambda(_Traced):
         trace_decay: lambda in [0, 1], or a schedule of the episode; 0 gives SARSA(0) bit for bit.
         trace_cutoff: in [0, 1]; a walk stops at the first trace below it, so that a smaller
             `trace_decay` costs less time.
-        trace_length: visits kept, at least 1.
+        trace_length: visits kept, from 1 to 2**24.
         trace: whether visits of a pair in one episode add their traces (``"accumulating"``) or the
             last one counts (``"replacing"``; Singh and Sutton 1996, without reset of other actions).
     """

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.counting import one_more
 from hrljax.envs.mario.competition import COLUMNS, ROWS, Episode, camera_column
 from hrljax.envs.mario.course import Course
@@ -23,10 +24,13 @@ from hrljax.envs.mario.state import World
 from hrljax.envs.mario.tiles import HEIGHT, TILE
 from hrljax.learners.base import Experience
 from hrljax.models.met import is_met, mark, nothing_met
-from hrljax.models.regression_tree import RegressionTree, Trees, predict
+from hrljax.models.regression_tree import MAX_DEPTH, MAX_ROWS, RegressionTree, Trees, predict
+from hrljax.models.tree_inputs import MAX_BINS
 from hrljax.planners.best_first import ModelFn
 
 _TARGETS = 4
+_LARGEST_SIZE = 11
+"""With more tiles there would be more inputs than a tree takes."""
 _BELOW = np.int32(NUM_SYMBOLS)
 """The symbol of a cell below the level, for a model that knows it."""
 _ROUNDED_TO = np.float32(32)
@@ -72,13 +76,16 @@ class MarioModel:
     """How the model is learned.
 
     Attributes:
-        size: tiles from left to right and from top to bottom around Mario, an odd number.
+        size: tiles from left to right and from top to bottom around Mario, an odd number up to 11.
         offsets: whether Mario's place within his tile is an input too, in x and y.
         below: whether what lies below the level is a tile of its own; if not, the level goes on.
         rows: N, transitions that are kept and fitted.
         max_depth, min_leaf, num_bins: see `hrljax.models.regression_tree.RegressionTree`.
         pessimism: taken off the predicted reward of a step whose inputs, numbers rounded to a 32nd,
             have not been met with its action (as Kidambi et al. 2020 do).
+
+    Raises:
+        TypeError, ValueError: an attribute is of the wrong kind or out of range.
     """
 
     size: int = 5
@@ -91,8 +98,20 @@ class MarioModel:
     pessimism: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.pessimism < np.inf:
-            raise ValueError(f"MarioModel: pessimism must be a number of at least 0, got {self.pessimism!r}")
+        for option, least, most in (
+            ("rows", 1, MAX_ROWS),
+            ("max_depth", 1, MAX_DEPTH),
+            ("min_leaf", 1, MAX_ROWS),
+            ("num_bins", 2, MAX_BINS),
+        ):
+            self._set(option, checks.integer(f"MarioModel: {option}", getattr(self, option), least, most))
+        self._set("size", checks.odd("MarioModel: size", self.size, _LARGEST_SIZE))
+        for option in ("offsets", "below"):
+            checks.flag(f"MarioModel: {option}", getattr(self, option))
+        self._set("pessimism", checks.number("MarioModel: pessimism", self.pessimism, checks.NOT_NEGATIVE))
+
+    def _set(self, option: str, value: Any) -> None:
+        object.__setattr__(self, option, value)
 
     @property
     def num_inputs(self) -> int:

@@ -7,13 +7,14 @@ the middle between two values of the data. Thesis 4.2.3 learns Mario's movements
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
+from hrljax import checks
 from hrljax.models.tree_growth import (
     EQUALS,
     INPUT_BITS,
@@ -29,6 +30,7 @@ from hrljax.models.tree_growth import (
 from hrljax.models.tree_inputs import MAX_BINS, MAX_CATEGORIES, MAX_INPUTS, bin_inputs, make_cells
 from hrljax.numerics import put_row, take
 
+MAX_DEPTH = 64
 MAX_ROWS = 1 << 20
 """More would leave too few bits for a target (`hrljax.models.tree_growth.quantise`)."""
 
@@ -60,15 +62,14 @@ class RegressionTree:
     num_bins: int = 128
 
     def __post_init__(self) -> None:
-        if not isinstance(self.categories, tuple):
-            raise TypeError(f"categories must be a tuple of whole numbers, got {self.categories!r}")
+        checks.instance("categories", self.categories, tuple, "a tuple of integers")
         if not 1 <= len(self.categories) <= MAX_INPUTS:
             raise ValueError(f"categories must describe 1 to {MAX_INPUTS} inputs, got {len(self.categories)}")
         for i, size in enumerate(self.categories):
-            _check_whole(f"categories[{i}]", size, 0, MAX_CATEGORIES)
-        _check_whole("max_depth", self.max_depth, 0, 64)
-        _check_whole("min_leaf", self.min_leaf, 1, MAX_ROWS)
-        _check_whole("num_bins", self.num_bins, 2, MAX_BINS)
+            checks.integer(f"categories[{i}]", size, 0, MAX_CATEGORIES)
+        checks.integer("max_depth", self.max_depth, 0, MAX_DEPTH)
+        checks.integer("min_leaf", self.min_leaf, 1, MAX_ROWS)
+        checks.integer("num_bins", self.num_bins, 2, MAX_BINS)
 
     @property
     def num_inputs(self) -> int:
@@ -157,7 +158,7 @@ class RegressionTree:
                 raise ValueError(f"{name} must be float32, got {values.dtype}")
         if group.shape != (num_rows,) or group.dtype != jnp.int32:
             raise ValueError(f"group must be int32 of shape [{num_rows}], got {group.dtype} of {list(group.shape)}")
-        _check_whole("num_groups", num_groups, 1, MAX_ROWS)
+        checks.integer("num_groups", num_groups, 1, MAX_ROWS)
         if count.shape != () or not jnp.issubdtype(count.dtype, jnp.integer):
             raise ValueError(f"count must be one integer, got {count.dtype} of shape {list(count.shape)}")
         if any(isinstance(values, Tracer) for values in (inputs, targets, group, count)):
@@ -224,10 +225,3 @@ def _grouped(group: Array, count: Array, num_groups: int) -> tuple[Array, Array]
 
     rows, _ = lax.fori_loop(jnp.int32(0), count, place, (jnp.zeros(num_rows, jnp.int32), starts))
     return rows, starts
-
-
-def _check_whole(name: str, value: Any, low: int, high: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{name} must be a whole number, got {value!r}")
-    if not low <= value <= high:
-        raise ValueError(f"{name} must be in {low}..{high}, got {value}")

@@ -12,15 +12,16 @@ integers that order as the priorities do, because maxima of integers are vectori
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.core import Tracer
 
+from hrljax import checks
 from hrljax.numerics import exact_product, opaque_zero, put_row, take, take_row
+from hrljax.tracing_errors import explain_tracing
 
 ModelFn = Callable[[Any, Array], tuple[Any, Array]]
 Count = Literal["generated", "expanded"]
@@ -148,6 +149,8 @@ def best_first_search(
         TypeError, ValueError: an argument is not as described.
     """
     _check_options(num_actions, depth, max_nodes, count, priority, answer, loop)
+    discount = checks.number("discount", discount, checks.SHARE, may_be_traced=True)
+    stop_reward = checks.number("stop_reward", stop_reward, checks.Interval(-np.inf, np.inf), may_be_traced=True)
     problem = _Problem(
         model,
         num_actions,
@@ -155,8 +158,8 @@ def best_first_search(
         max_expansions=max_nodes if count == "expanded" else -(-max_nodes // num_actions),
         priority=priority,
         answer=answer,
-        stop_rank=_rank(_number("stop_reward", stop_reward)),
-        discount=None if isinstance(discount, int | float) and discount == 1 else _number("discount", discount, 0, 1),
+        stop_rank=_rank(_single(stop_reward)),
+        discount=None if isinstance(discount, int | float) and discount == 1 else _single(discount),
     )
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf).astype(jnp.asarray(leaf).dtype), state)
     _check_model(model, state)
@@ -376,10 +379,7 @@ def _check_options(
     num_actions: int, depth: int, max_nodes: int, count: str, priority: str, answer: str, loop: str
 ) -> None:
     for name, value in (("num_actions", num_actions), ("depth", depth), ("max_nodes", max_nodes)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer):
-            raise TypeError(f"{name} must be an integer, got {value!r}")
-        if value < 1:
-            raise ValueError(f"{name} must be at least 1, got {value!r}")
+        checks.integer(name, value, 1)
     choices = (
         ("count", count, Count),
         ("priority", priority, Priority),
@@ -387,21 +387,20 @@ def _check_options(
         ("loop", loop, Loop),
     )
     for name, value, allowed in choices:
-        if value not in get_args(allowed):
-            raise ValueError(f"{name} must be one of {', '.join(map(repr, get_args(allowed)))}, got {value!r}")
+        checks.choice(name, value, allowed)
 
 
-def _number(name: str, value: Array | float, low: float = -np.inf, high: float = np.inf) -> Array:
-    """A float32 scalar; its range is checked if it is not traced."""
-    if np.ndim(value) or not (isinstance(value, Tracer) or low <= float(value) <= high):
-        raise ValueError(f"{name} must be a number in [{low:g}, {high:g}], got {value!r}")
+def _single(value: Array | float) -> Array:
+    """A number as float32."""
     return jnp.asarray(value).astype(jnp.float32)
 
 
 def _check_model(model: ModelFn, state: Any) -> None:
     """Raises TypeError unless the model gives a state like `state` and a float32 scalar."""
+    checks.function("model", model, "of a state and an action", num_arguments=2)
     given = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state)
-    output = jax.eval_shape(model, given, jax.ShapeDtypeStruct((), jnp.int32))
+    with explain_tracing("model"):
+        output = jax.eval_shape(model, given, jax.ShapeDtypeStruct((), jnp.int32))
     if not (isinstance(output, tuple) and len(output) == 2):
         raise TypeError(f"model must return a tuple (next_state, reward), got {output!r}")
     found = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), output)

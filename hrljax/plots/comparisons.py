@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
+from hrljax import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
 
@@ -30,12 +31,17 @@ def intervals(
         The axes; ``ax.figure.savefig`` saves the picture.
 
     Raises:
+        TypeError: an argument is of the wrong kind.
         ValueError: no values, no statistics, other dimensions, or no finished run.
     """
+    checks.instance("values", values, Mapping, "a mapping from names to DataArrays")
+    statistics = checks.names("statistics", statistics)  # type: ignore[assignment]
     if not values:
         raise ValueError("values must hold at least one array, got none")
     if not statistics:
         raise ValueError("statistics must be at least one, got none")
+    for statistic in statistics:
+        checks.choice("statistic", statistic, Statistic)
     for name, runs in values.items():
         style.check_seeds(runs, repr(name))
     ax = style.axes(ax, 8, 1.4 + 0.45 * len(values))

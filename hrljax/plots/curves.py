@@ -6,13 +6,15 @@ from collections.abc import Mapping
 import xarray as xr
 from matplotlib.axes import Axes
 
-from hrljax import stats
+from hrljax import checks, stats
 from hrljax.plots import style
 from hrljax.stats import Statistic
 
+Curves = xr.Dataset | xr.DataArray
+
 
 def learning_curves(
-    curves: xr.Dataset | Mapping[str, xr.Dataset],
+    curves: Curves | Mapping[str, Curves],
     variable: str = "return",
     *,
     window: int | None = None,
@@ -23,9 +25,9 @@ def learning_curves(
     """A statistic over seeds against episodes, with bands of 95 % intervals.
 
     Args:
-        curves: a dataset of `hrljax.sweep`, or several by name. Every combination of swept
-            hyper-parameters becomes a curve.
-        variable: what to draw.
+        curves: a dataset of `hrljax.sweep` or one of its variables, such as ``dataset["return"]``; or
+            several by name. Every combination of swept hyper-parameters becomes a curve.
+        variable: what to draw of a dataset.
         window: episodes of a moving average; none if None.
         statistic: ``"mean"``, with Student's interval, or one of `stats.bootstrap_interval`.
         references: horizontal lines by name.
@@ -35,32 +37,55 @@ def learning_curves(
         The axes; ``ax.figure.savefig`` saves the picture.
 
     Raises:
+        TypeError: an argument is of the wrong kind.
         ValueError: there is no curve, or none of that variable.
     """
-    named = {"": curves} if isinstance(curves, xr.Dataset) else dict(curves)
+    named = {"": curves} if isinstance(curves, xr.Dataset | xr.DataArray) else curves
+    checks.instance("curves", named, Mapping, "a dataset of hrljax.sweep, a DataArray, or several by name")
     if not named:
         raise ValueError("curves must hold at least one dataset, got none")
-    for name, dataset in named.items():
-        if variable not in dataset:
-            known = ", ".join(map(str, dataset.data_vars))
-            raise ValueError(f"variable must be one of {known}{f' in {name!r}' if name else ''}, got {variable!r}")
+    drawn = {name: _values(name, of_name, variable) for name, of_name in named.items()}
     ax = style.axes(ax)
     lines = style.lines()
-    for name, dataset in named.items():
-        values = dataset[variable] if window is None else stats.smoothed(dataset[variable], window)
-        along = "checkpoint" if "checkpoint" in values.dims else "episode"
+    for name, values in drawn.items():
+        along = _along(values)
+        values = values if window is None else stats.smoothed(values, window)
         swept = tuple(dim for dim in values.dims if dim not in ("seed", along))
         for setting in itertools.product(*(values[dim].values for dim in swept)):
             curve = values.sel(dict(zip(swept, setting, strict=True)))
             middle, low, high = style.interval(curve, statistic)
             line = next(lines)
             described = " ".join(part for part in (name, style.setting(swept, setting)) if part)
-            described = described or str(dataset.attrs.get("learner", variable))
+            described = described or str(named[name].attrs.get("learner", values.name))
             ax.plot(middle[along], middle, **line, label=f"{described} ({style.finished(curve, along)})", lw=1.4)
             ax.fill_between(middle[along], low, high, color=line["color"], alpha=0.25, lw=0)
     style.references(ax, references)
     ax.set_xlabel("episode")
-    shown = style.label(next(iter(named.values()))[variable])
+    shown = style.label(next(iter(drawn.values())))
     ax.set_ylabel(shown if statistic == "mean" else f"{shown}, {style.readable(statistic)}")
     style.tidy(ax)
     return ax
+
+
+def _values(name: str, curves: Curves, variable: str) -> xr.DataArray:
+    """The values to draw of a dataset, or the array itself."""
+    where = f" of {name!r}" if name else ""
+    checks.instance(f"curves{where}", curves, (xr.Dataset, xr.DataArray), "a dataset of hrljax.sweep or a DataArray")
+    if isinstance(curves, xr.Dataset):
+        known = [str(key) for key, array in curves.data_vars.items() if _along(array)]
+        if variable not in known:
+            raise ValueError(
+                f"variable{where} must be one of {', '.join(known) or 'none'}, those over episodes, "
+                f"got {checks.described(variable)}"
+            )
+        return curves[variable]
+    along = _along(curves)
+    if along is None or "seed" not in curves.dims:
+        present = ", ".join(map(str, curves.dims)) or "none"
+        raise ValueError(f"curves{where} must have the dimensions 'seed' and 'episode' or 'checkpoint', got {present}")
+    return curves
+
+
+def _along(values: xr.DataArray) -> str | None:
+    """The dimension of time, None if there is none."""
+    return next((dim for dim in ("checkpoint", "episode") if dim in values.dims), None)

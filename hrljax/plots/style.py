@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hrljax import stats
+from hrljax import checks, stats
 from hrljax.stats import Statistic
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
@@ -24,7 +24,9 @@ _MARKERS = "osD^vPX*"
 
 def axes(ax: Axes | None, width: float = 8, height: float = 5) -> Axes:
     """The axes, or new ones in a figure of their own."""
-    return Figure(figsize=(width, height), layout="constrained").subplots() if ax is None else ax
+    if ax is None:
+        return Figure(figsize=(width, height), layout="constrained").subplots()
+    return checks.instance("ax", ax, Axes, "Matplotlib's axes or None")
 
 
 def lines() -> Iterator[dict[str, Any]]:
@@ -73,7 +75,8 @@ def interval(values: xr.DataArray, statistic: Statistic) -> tuple[xr.DataArray, 
 
 
 def check_seeds(values: xr.DataArray, what: str, *allowed: Hashable) -> None:
-    """Raises ValueError unless the dimensions are ``seed`` and those allowed."""
+    """Raises unless the values are an array whose dimensions are ``seed`` and those allowed."""
+    checks.instance(what, values, xr.DataArray, "a DataArray such as curves['return'].mean('episode')")
     missing = [str(dim) for dim in ("seed", *allowed) if dim not in values.dims]
     if missing:
         raise ValueError(f"{what} must have the dimension {missing[0]!r}, got {', '.join(map(str, values.dims))}")
@@ -87,7 +90,9 @@ def check_seeds(values: xr.DataArray, what: str, *allowed: Hashable) -> None:
 def references(ax: Axes, values: Mapping[str, float] | None, vertical: bool = False) -> None:
     """Lines across the picture by name."""
     draw = ax.axvline if vertical else ax.axhline
-    for (name, value), style in zip((values or {}).items(), itertools.cycle(("--", ":", "-.")), strict=False):
+    values = checks.instance("references", values or {}, Mapping, "a mapping such as {'optimum': -24.6}")
+    for (name, value), style in zip(values.items(), itertools.cycle(("--", ":", "-.")), strict=False):
+        checks.number(f"references: {name}", value)
         draw(value, color="#444444", ls=style, lw=1, label=f"{name} {value:.2f}")
 
 

@@ -1,6 +1,6 @@
 """Pictures over swept hyper-parameters: heat maps and sensitivity."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
-from hrljax import stats
+from hrljax import checks, stats
 from hrljax.plots import style
 from hrljax.stats import Statistic
 
@@ -47,17 +47,19 @@ def heat_map(
         The axes; ``ax.figure.savefig`` saves the picture.
 
     Raises:
-        ValueError: other dimensions, or no finished run.
+        TypeError: an argument is of the wrong kind.
+        ValueError: other dimensions, limits that are not in order, or no finished run.
     """
     if x == y:
         raise ValueError(f"x and y must differ, got {x!r} twice")
     style.check_seeds(values, "values", x, y)
-    if best not in ("greatest", "least", None):
-        raise ValueError(f"best must be 'greatest', 'least' or None, got {best!r}")
+    checks.choice("best", best, ("greatest", "least", None))
+    checks.choice("statistic", statistic, Statistic)
+    chosen = None if limits is None else _checked_limits(limits)
     found = stats.estimate(values, statistic).transpose(y, x)
     cells = found.values
     drawn = np.ma.masked_invalid(cells)
-    low, high = limits or ((drawn.min(), drawn.max()) if drawn.count() else (0, 1))
+    low, high = chosen or ((drawn.min(), drawn.max()) if drawn.count() else (0, 1))
     ax = style.axes(ax, 2.4 + 0.75 * cells.shape[1], 1.8 + 0.55 * cells.shape[0])
     colours = colormaps[style.COLOUR_MAP].with_extremes(bad="#dddddd")
     norm = Normalize(low, high)
@@ -107,14 +109,19 @@ def sensitivity(
         The axes; ``ax.figure.savefig`` saves the picture.
 
     Raises:
+        TypeError: an argument is of the wrong kind.
         ValueError: no values, other dimensions, or no finished run.
     """
-    named = {"": values} if isinstance(values, xr.DataArray) else dict(values)
+    named = {"": values} if isinstance(values, xr.DataArray) else values
+    checks.instance("values", named, Mapping, "a DataArray, or a mapping from names to DataArrays")
+    checks.choice("statistic", statistic, Statistic)
     if not named:
         raise ValueError("values must hold at least one array, got none")
     for name, array in named.items():
+        what = repr(name) if name else "values"
+        checks.instance(what, array, xr.DataArray, "a DataArray such as curves['return'].mean('episode')")
         more = (lines,) if lines is not None and (lines in array.dims or len(named) == 1) else ()
-        style.check_seeds(array, repr(name) if name else "values", x, *more)
+        style.check_seeds(array, what, x, *more)
     ax = style.axes(ax)
     styles, markers = style.lines(), style.markers()
     for name, array in named.items():
@@ -140,3 +147,12 @@ def sensitivity(
     ax.set_ylabel(f"{style.label(first)}, {style.readable(statistic)}")
     style.tidy(ax)
     return ax
+
+
+def _checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
+    if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
+        raise TypeError(f"limits must be two numbers, got {limits!r}")
+    low, high = (checks.number(f"limits[{i}]", limit) for i, limit in enumerate(limits))
+    if not low < high:
+        raise ValueError(f"limits must be in order, the lower one first, got {limits!r}")
+    return low, high

@@ -9,7 +9,7 @@ from hrljax.solvers.dynamic_programming import (
     value_iteration,
 )
 from hrljax.solvers.hierarchical import Criterion, Optima, recursively_optimal, solve_hierarchy
-from hrljax.solvers.joint import JointProcess, joint_process
+from hrljax.solvers.joint import JointProcess, NoBestPolicyError, joint_process
 from hrljax.solvers.joint_optima import Optimum, greedy, optimise
 from hrljax.solvers.model import Model
 
@@ -18,6 +18,7 @@ __all__ = [
     "Decomposed",
     "JointProcess",
     "Model",
+    "NoBestPolicyError",
     "Optima",
     "Optimum",
     "Solution",

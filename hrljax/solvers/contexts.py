@@ -34,6 +34,7 @@ def contexts(hierarchy: Hierarchy, top: str | None = None) -> Contexts:
     """Every path from a subtask (the root if None) to a subtask below it.
 
     Raises:
+        KeyError: there is no such subtask.
         ValueError: there are more than `MAX_CONTEXTS` of them.
     """
     width = max(len(task.children) for task in hierarchy.subtasks)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hrljax import checks
 from hrljax.solvers.joint import JointProcess, Totals
 
 
@@ -36,8 +37,10 @@ def decompose(process: JointProcess, weights: np.ndarray) -> Decomposed:
         weights: ``[R]`` probabilities of rows (`JointProcess.weights`).
 
     Raises:
-        ValueError: with discount 1, the policy cannot end the episode from some node.
+        TypeError, ValueError: `weights` are no probabilities of rows.
+        NoBestPolicyError: with discount 1, the policy cannot end the episode from some node.
     """
+    weights = checks.as_array("weights", weights, np.floating, process.row_node.shape, "numbers, one a row,")
     process.require_an_end(weights)
     chain, gains = process.chain(weights), process.sums(weights * process.reward)
     below = [process.contexts.under(c)[process.context] for c in range(process.contexts.size)]

@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 
-from hrljax.solvers.model import Model
+from hrljax import checks
+from hrljax.solvers.model import Model, check_model
 
 
 class Solution(NamedTuple):
@@ -23,7 +26,26 @@ class Solution(NamedTuple):
 
 
 def action_values(model: Model, value: Array, discount: float | Array = 1.0) -> Array:
-    """One Bellman backup: ``Q(s, a) = sum_k p_k (r_k + discount * value(s'_k))``, ``[S, A]``."""
+    """One Bellman backup: ``Q(s, a) = sum_k p_k (r_k + discount * value(s'_k))``, ``[S, A]``.
+
+    Raises:
+        TypeError, ValueError: a bad argument.
+    """
+    _check(model, discount=discount)
+    checks.as_array("value", value, np.floating, (model.num_states,), "numbers", may_be_traced=True)
+    return _backup(model, value, discount)
+
+
+def _check(model: Model, *, tolerance: float = 0.0, **shares: float | Array) -> None:
+    """Raises for a bad model, tolerance or number that must be in [0, 1]; traced ones pass."""
+    check_model(model)
+    for name, value in shares.items():
+        checks.number(name, value, checks.SHARE, may_be_traced=True)
+    checks.number("tolerance", tolerance, checks.NOT_NEGATIVE, may_be_traced=True)
+
+
+def _backup(model: Model, value: Array, discount: float | Array) -> Array:
+    """`action_values`, not checked."""
     probability = jnp.asarray(model.probability)
     follows = jnp.asarray(value)[jnp.asarray(model.next_state)]
     follows = jnp.where(jnp.asarray(model.terminated), jnp.zeros_like(follows), follows)
@@ -42,7 +64,6 @@ def soft_value(q: Array, epsilon: float | Array) -> Array:
     return (1 - epsilon) * q.max(-1) + epsilon * q.mean(-1)
 
 
-@jax.jit
 def value_iteration(
     model: Model,
     discount: float | Array = 1.0,
@@ -58,12 +79,23 @@ def value_iteration(
         epsilon: probability of a uniformly random action at every step; with it, the result is
             the best epsilon-soft policy's, the most that epsilon-greedy learning can earn.
         tolerance: stops when no value changes by more, relative to one plus the greatest value.
-        max_sweeps: stops in any case.
-    """
+        max_sweeps: stops in any case; at least 1.
 
+    Raises:
+        TypeError, ValueError: a bad argument.
+    """
+    _check(model, discount=discount, epsilon=epsilon, tolerance=tolerance)
+    checks.integer("max_sweeps", max_sweeps, 1, may_be_traced=True)
+    return _value_iteration(model, discount, epsilon, tolerance, max_sweeps)
+
+
+@jax.jit
+def _value_iteration(
+    model: Model, discount: float | Array, epsilon: float | Array, tolerance: float, max_sweeps: int | Array
+) -> Solution:
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         value, _, count = carry
-        updated = soft_value(action_values(model, value, discount), epsilon)
+        updated = soft_value(_backup(model, value, discount), epsilon)
         return updated, _change(value, updated), count + 1
 
     start = jnp.zeros(model.num_states, jnp.asarray(model.probability).dtype)
@@ -71,14 +103,13 @@ def value_iteration(
     value, _, count = lax.while_loop(
         lambda c: (c[1] > tolerance) & (c[2] < max_sweeps), sweep, (start, changed, jnp.int32(0))
     )
-    q = action_values(model, value, discount)
+    q = _backup(model, value, discount)
     return Solution(q, soft_value(q, epsilon), jnp.argmax(q, -1).astype(jnp.int32), count)
 
 
-@jax.jit
 def policy_evaluation(
     model: Model,
-    policy: Array,
+    policy: Array | np.ndarray,
     discount: float | Array = 1.0,
     horizon: int | Array = 100_000,
     tolerance: float = 1e-6,
@@ -93,12 +124,39 @@ def policy_evaluation(
             never ends the episode has no finite value beyond a horizon.
         tolerance: stops before the horizon when no value changes by more, relative to one plus the
             greatest value.
-    """
-    policy = jnp.asarray(policy)
 
+    Raises:
+        TypeError, ValueError: a bad argument.
+    """
+    _check(model, discount=discount, tolerance=tolerance)
+    checks.integer("horizon", horizon, 0, may_be_traced=True)
+    _check_policy(model, policy)
+    return _policy_evaluation(model, jnp.asarray(policy), discount, horizon, tolerance)
+
+
+def _check_policy(model: Model, policy: Array | np.ndarray) -> None:
+    shapes = (model.num_states,), (model.num_states, model.num_actions)
+    if np.shape(policy) not in shapes:
+        allowed = f"actions of shape {shapes[0]} or probabilities of shape {shapes[1]}"
+        raise ValueError(f"policy must be {allowed}, got shape {np.shape(policy)}")
+    kind, what = (np.integer, "integers") if np.ndim(policy) == 1 else (np.floating, "probabilities")
+    array = checks.as_array("policy", policy, kind, np.shape(policy), what, may_be_traced=True)
+    if isinstance(array, Tracer):
+        return
+    if array.ndim == 1 and not (array.min() >= 0 and array.max() < model.num_actions):
+        most = model.num_actions - 1
+        raise ValueError(f"policy must have actions from 0 to {most}, got {array.min()} to {array.max()}")
+    if array.ndim == 2 and not (array.min() >= 0 and np.allclose(array.sum(-1), 1, rtol=0, atol=1e-4)):
+        raise ValueError("policy must have rows of probabilities that are not negative and sum to one")
+
+
+@jax.jit
+def _policy_evaluation(
+    model: Model, policy: Array, discount: float | Array, horizon: int | Array, tolerance: float
+) -> Array:
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         value, _, count = carry
-        q = action_values(model, value, discount)
+        q = _backup(model, value, discount)
         if policy.ndim == 1:
             updated = jnp.take_along_axis(q, policy[:, None], axis=-1)[:, 0]
         else:
@@ -122,7 +180,6 @@ def transition_matrix(model: Model, policy: Array) -> tuple[Array, Array]:
     return matrix, (weight * jnp.asarray(model.reward, weight.dtype)).sum((-1, -2))
 
 
-@jax.jit
 def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvements: int | Array = 1000) -> Solution:
     """The optimal values, by exact evaluation and greedy improvement (Howard 1960).
 
@@ -130,8 +187,22 @@ def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvemen
     that discount 1 is no special case. Solves ``[S, S]`` linear systems: needs ``S * S`` memory.
     A new action replaces an old one only where it is better by more than rounding, and actions that
     tie share the probability meanwhile, so that a policy that ends its episodes stays one.
-    """
 
+    Args:
+        model: the decision process.
+        discount: in [0, 1].
+        max_improvements: stops in any case; at least 1.
+
+    Raises:
+        TypeError, ValueError: a bad argument.
+    """
+    _check(model, discount=discount)
+    checks.integer("max_improvements", max_improvements, 1, may_be_traced=True)
+    return _policy_iteration(model, discount, max_improvements)
+
+
+@jax.jit
+def _policy_iteration(model: Model, discount: float | Array, max_improvements: int | Array) -> Solution:
     def evaluate(policy: Array) -> Array:
         matrix, reward = transition_matrix(model, policy)
         identity = jnp.eye(model.num_states, dtype=matrix.dtype)
@@ -139,7 +210,7 @@ def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvemen
 
     def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         policy, _, count = carry
-        q = action_values(model, evaluate(policy), discount)
+        q = _backup(model, evaluate(policy), discount)
         current = (policy * q).sum(-1)
         margin = 100 * jnp.finfo(q.dtype).eps * (1 + jnp.abs(current))
         best = q.max(-1)
@@ -153,5 +224,5 @@ def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvemen
     policy, _, count = lax.while_loop(
         lambda c: c[1] & (c[2] < max_improvements), improve, (uniform, jnp.bool_(True), jnp.int32(0))
     )
-    q = action_values(model, evaluate(policy), discount)
+    q = _backup(model, evaluate(policy), discount)
     return Solution(q, (policy * q).sum(-1), jnp.argmax(policy, -1).astype(jnp.int32), count)

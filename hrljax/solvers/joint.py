@@ -13,12 +13,17 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from hrljax import checks
 from hrljax.hierarchy import Hierarchy
 from hrljax.solvers.contexts import Contexts, Termination, contexts, control
-from hrljax.solvers.model import Model
+from hrljax.solvers.model import Model, check_model
 
 if TYPE_CHECKING:  # takes longer to import than the rest of the library: functions import it
     from scipy import sparse
+
+
+class NoBestPolicyError(ValueError):
+    """A problem in which no policy is best, or has a value at all; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +121,7 @@ class JointProcess:
                 it may invoke in a state do not sum to one. The message names the subtask.
         """
         policy = np.asarray(policy)
+        checks.choice("by", by, ("subtask", "stack"))
         owner = {"subtask": self.contexts.task, "stack": np.arange(self.contexts.size)}[by]
         num_owners = {"subtask": len(self.hierarchy.subtasks), "stack": self.contexts.size}[by]
         _, num_states, width = self.shape
@@ -155,7 +161,7 @@ class JointProcess:
         """Without discounting, checks that every node can reach an end (of the episode or the top).
 
         Raises:
-            ValueError: one cannot; the message names the subtask and the state.
+            NoBestPolicyError: one cannot; the message names the subtask and the state.
         """
         if self.discount < 1:
             return
@@ -167,7 +173,7 @@ class JointProcess:
                 return
             if np.array_equal(further, reaches):
                 stuck = self.where(int(np.flatnonzero(~reaches)[0]))
-                raise ValueError(f"with discount 1 the episode must be able to end: it cannot from {stuck}")
+                raise NoBestPolicyError(f"with discount 1 the episode must be able to end: it cannot from {stuck}")
             reaches = further
 
 
@@ -175,6 +181,10 @@ class Totals:
     """Expected totals of a Markov chain until it leaves a set of nodes."""
 
     def __init__(self, chain: "sparse.csr_array", inside: np.ndarray):
+        """
+        Raises:
+            NoBestPolicyError: the chain never leaves it.
+        """
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
@@ -182,7 +192,10 @@ class Totals:
         self.outside = np.flatnonzero(~inside)
         rows = chain[self.inside]
         self._to_outside = rows[:, self.outside]
-        self._solver = splu(sparse.csc_array(sparse.eye_array(len(self.inside)) - rows[:, self.inside]))
+        try:
+            self._solver = splu(sparse.csc_array(sparse.eye_array(len(self.inside)) - rows[:, self.inside]))
+        except RuntimeError as error:  # the matrix is singular
+            raise NoBestPolicyError("a policy that never ends earns more than any that does") from error
 
     def of(self, gains: np.ndarray) -> np.ndarray:
         """``[N]``: total of what each visited node inside gives; 0 outside."""
@@ -224,13 +237,18 @@ def joint_process(
             end is noticed when it has control again.
 
     Raises:
+        TypeError: an argument is of the wrong kind.
+        KeyError: there is no subtask `top`.
         ValueError: an argument does not fit, or a subtask that can have control has no child to
             invoke. The message names the subtask and the state.
     """
     from scipy import sparse
 
-    active = np.asarray(active, np.bool_)
-    _check(hierarchy, active, model, discount, termination)
+    active = _checked(hierarchy, active, model)
+    discount = checks.number("discount", discount, checks.SHARE)
+    checks.choice("termination", termination, Termination)
+    if goal is not None:
+        goal = checks.as_array("goal", goal, np.floating, active.shape, "numbers")
     stacks = contexts(hierarchy, top)
     live, resumed = control(stacks, active, termination)
     for task in stacks.task:
@@ -278,16 +296,15 @@ def joint_process(
     return process
 
 
-def _check(hierarchy: Hierarchy, active: np.ndarray, model: Model, discount: float, termination: Termination) -> None:
-    expected = len(hierarchy.subtasks), model.num_states
-    if active.shape != expected:
-        raise ValueError(f"active must have shape {expected} (subtasks, states), got {active.shape}")
+def _checked(hierarchy: Hierarchy, active: np.ndarray, model: Model) -> np.ndarray:
+    """`active`, after checking that it is over the subtasks and the states, and the model over the actions."""
+    checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
+    check_model(model)
+    shape = len(hierarchy.subtasks), model.num_states
+    active = checks.as_array("active", active, np.bool_, shape, "bools")
     if model.num_actions != len(hierarchy.actions):
         raise ValueError(f"the hierarchy is over {len(hierarchy.actions)} actions, the model has {model.num_actions}")
-    if not 0 <= discount <= 1:
-        raise ValueError(f"discount must be in [0, 1], got {discount!r}")
-    if termination not in ("immediate", "on_return"):
-        raise ValueError(f"termination must be 'immediate' or 'on_return', got {termination!r}")
+    return active
 
 
 class _Rows(NamedTuple):

@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hrljax import checks
 from hrljax.solvers.joint import JointProcess, Totals
 
 Method = Literal["policy_iteration", "value_iteration"]
@@ -48,12 +49,20 @@ def optimise(
         max_sweeps: most sweeps or improvements; 1,000,000 or 1,000 if None.
 
     Raises:
-        ValueError: an argument does not fit, or with discount 1 some node cannot reach an end.
+        TypeError, ValueError: an argument does not fit.
+        NoBestPolicyError: with discount 1 some node cannot reach an end, or a policy that never ends is better.
         RuntimeError: `max_sweeps` were not enough; the message names a subtask and a state.
     """
-    if method not in ("policy_iteration", "value_iteration"):
-        raise ValueError(f"method must be 'policy_iteration' or 'value_iteration', got {method!r}")
-    chooses = np.ones(process.num_nodes, np.bool_) if free is None else np.asarray(free, np.bool_)[process.context]
+    checks.choice("method", method, Method)
+    checks.number("tolerance", tolerance, checks.NOT_NEGATIVE)
+    if max_sweeps is not None:
+        checks.integer("max_sweeps", max_sweeps, 1)
+    for name, rows in (("weights", weights), ("reward", reward)):
+        if rows is not None:
+            checks.as_array(name, rows, np.floating, process.row_node.shape, "numbers, one a row,")
+    chooses = np.ones(process.num_nodes, np.bool_)
+    if free is not None:
+        chooses = checks.as_array("free", free, np.bool_, (process.contexts.size,), "bools")[process.context]
     if weights is None and not chooses.all():
         raise ValueError("weights are needed for the contexts that are not free")
     gains = process.reward if reward is None else reward
@@ -115,8 +124,7 @@ def greedy(process: JointProcess, best: Optimum, ties: Ties = "first", free: np.
             first child is taken that can lead nearer to the end.
         free: ``[C]`` bool; contexts that are not take a child that their policy can take. All if None.
     """
-    if ties not in ("first", "last"):
-        raise ValueError(f"ties must be 'first' or 'last', got {ties!r}")
+    checks.choice("ties", ties, Ties)
     chooses = True if free is None else np.asarray(free, np.bool_)[process.context[process.row_node]]
     allowed = np.where(chooses, _ties(process, best.q), best.weights > 0)
     numbers = np.arange(len(allowed))

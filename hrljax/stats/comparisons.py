@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from hrljax.stats import resampling
+from hrljax.stats.arguments import check_bootstrap, check_values
 
 
 def paired_differences(first: xr.DataArray, second: xr.DataArray, dim: str = "seed") -> xr.DataArray:
@@ -13,8 +14,11 @@ def paired_differences(first: xr.DataArray, second: xr.DataArray, dim: str = "se
     share. `mean_interval` and `bootstrap_interval` of the differences are the paired intervals.
 
     Raises:
-        ValueError: no seed is common, or other coordinates differ.
+        TypeError: a side is no DataArray.
+        ValueError: no seed is common, a side has no such dimension, or other coordinates differ.
     """
+    check_values("first", first, dim)
+    check_values("second", second, dim)
     first, second = xr.align(first, second, join="inner", exclude=set(first.dims) - {dim})
     first, second = xr.align(first, second, join="exact")
     if not first.sizes[dim]:
@@ -49,9 +53,11 @@ def probability_of_improvement(
         interval where it has fewer than two.
 
     Raises:
-        ValueError: a bad argument, or coordinates that differ.
+        TypeError, ValueError: a bad argument, or coordinates that differ.
     """
-    resampling.check(level, resamples)
+    check_values("first", first, dim)
+    check_values("second", second, dim)
+    check_bootstrap(level, resamples, key)
     second = second.rename({dim: f"second {dim}"})
     parts = xr.apply_ufunc(
         _improvements,

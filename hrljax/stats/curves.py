@@ -1,9 +1,10 @@
 """From the curve of a run to fewer numbers: moving averages, ranges, areas, and how soon a value is reached."""
 
-import math
-
 import numpy as np
 import xarray as xr
+
+from hrljax import checks
+from hrljax.stats.arguments import check_values
 
 
 def smoothed(values: xr.DataArray, window: int) -> xr.DataArray:
@@ -13,9 +14,11 @@ def smoothed(values: xr.DataArray, window: int) -> xr.DataArray:
     what there is of the window.
 
     Raises:
+        TypeError: `values` is no DataArray, or `window` no integer.
         ValueError: the window is smaller than a bin, or there is no dimension ``episode``.
     """
-    weights = xr.DataArray(_episodes_in_bins(values, "episode"), coords={"episode": values["episode"]})
+    check_values("values", values, "episode")
+    weights = xr.DataArray(_episodes_in_bins(values), coords={"episode": values["episode"]})
     whole = _bins_in(window, values, "episode")
 
     def summed(terms: xr.DataArray) -> xr.DataArray:
@@ -29,11 +32,13 @@ def episode_range(values: xr.DataArray, first: int, last: int) -> xr.DataArray:
     """The mean over the episodes after `first` up to `last`, both ends of bins.
 
     Raises:
+        TypeError: `values` is no DataArray, or an end no integer.
         ValueError: an end is not the end of a bin, or no bin is between them.
     """
+    check_values("values", values, "episode")
     ends = np.concatenate([[0], values["episode"].values])
-    for end in (first, last):
-        if end not in ends:
+    for name, end in (("first", first), ("last", last)):
+        if checks.integer(name, end) not in ends:
             raise ValueError(f"episode {end} is not the end of a bin")
     if first >= last:
         raise ValueError(f"first must be less than last, got {first} and {last}")
@@ -56,8 +61,10 @@ def area_under_curve(
         reference: what is subtracted in every episode.
 
     Raises:
-        ValueError: an end is not the end of a bin, or no bin is between them.
+        TypeError, ValueError: a bad argument, as of `episode_range`.
     """
+    check_values("values", values, "episode")
+    reference = checks.number("reference", reference)
     last = int(values["episode"].values[-1]) if last is None else last
     area = (episode_range(values, first, last) - reference) * (last - first)
     unit = values.attrs.get("units")
@@ -93,12 +100,13 @@ def episodes_to_reach(
         dimension `along`; infinity for a run that never does, NaN for one that was not finished.
 
     Raises:
-        ValueError: a bad `share`, `baseline` or `window`.
+        TypeError, ValueError: a bad argument.
     """
-    if not 0 < share <= 1:
-        raise ValueError(f"share must be in (0, 1], got {share!r}")
-    if not math.isfinite(target):
-        raise ValueError(f"target must be a finite number, got {target!r}")
+    checks.choice("along", along, ("episode", "checkpoint"))
+    check_values("values", values, along)
+    checks.number("share", share, checks.Interval(0, 1, low_open=True))
+    checks.number("target", target)
+    checks.number("baseline", baseline)
     if share < 1 and not baseline < target:
         raise ValueError(f"baseline must be less than the target {target:g}, got {baseline!r}")
     threshold = target if share == 1 else baseline + share * (target - baseline)
@@ -115,17 +123,15 @@ def episodes_to_reach(
     )
 
 
-def _episodes_in_bins(values: xr.DataArray, along: str) -> np.ndarray:
+def _episodes_in_bins(values: xr.DataArray) -> np.ndarray:
     """Episodes of each bin, relative to the first."""
-    if along not in values.dims:
-        raise ValueError(f"values must have a dimension {along!r}, got {', '.join(map(str, values.dims)) or 'none'}")
-    ends = values[along].values
+    ends = values["episode"].values
     return np.diff(ends, prepend=0) / ends[0]
 
 
 def _bins_in(window: int, values: xr.DataArray, along: str) -> int:
     """Whole bins in a window of episodes, at most those of the run."""
     bin_size = int(values[along].values[0])
-    if window < bin_size:
+    if checks.integer("window", window, 1) < bin_size:
         raise ValueError(f"window must be at least a bin of {bin_size} episodes, got {window}")
     return min(window // bin_size, values.sizes[along])

@@ -3,7 +3,9 @@
 import xarray as xr
 from scipy import special
 
+from hrljax import checks
 from hrljax.stats import resampling
+from hrljax.stats.arguments import check_bootstrap, check_level, check_values
 from hrljax.stats.resampling import Method, Statistic
 
 
@@ -11,9 +13,11 @@ def estimate(values: xr.DataArray, statistic: Statistic, dim: str = "seed") -> x
     """A statistic over a dimension; NaN entries (unfinished runs) do not count, infinite ones do.
 
     Raises:
-        ValueError: an unknown statistic.
+        TypeError: the values are no DataArray.
+        ValueError: an unknown statistic or dimension.
     """
-    resampling.check_choice("statistic", statistic, Statistic)
+    check_values("values", values, dim)
+    checks.choice("statistic", statistic, Statistic)
     return xr.apply_ufunc(
         resampling.estimates, values, kwargs={"statistic": statistic}, input_core_dims=[[dim]], keep_attrs=True
     )
@@ -42,7 +46,12 @@ def mean_interval(values: xr.DataArray, dim: str = "seed", level: float = 0.95) 
 
     Returns:
         ``mean``, ``low``, ``high`` without `dim`; with fewer than two values the interval is NaN.
+
+    Raises:
+        TypeError, ValueError: a bad argument.
     """
+    check_values("values", values, dim)
+    check_level(level)
     count = values.notnull().sum(dim)
     mean = values.mean(dim)
     freedom = (count - 1).clip(1)
@@ -81,9 +90,10 @@ def bootstrap_interval(
         values the interval is NaN.
 
     Raises:
-        ValueError: a bad argument.
+        TypeError, ValueError: a bad argument.
     """
-    resampling.check(level, resamples, statistic, method)
+    check_values("values", values, dim)
+    check_bootstrap(level, resamples, key, statistic, method)
     parts = xr.apply_ufunc(
         resampling.bootstrap,
         values,

@@ -1,7 +1,7 @@
 """The bootstrap on plain arrays (Efron and Tibshirani 1993) of means that leave out the same share at either end."""
 
 from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -19,22 +19,6 @@ class Interval(NamedTuple):
     estimate: np.ndarray
     low: np.ndarray
     high: np.ndarray
-
-
-def check_choice(name: str, value: str, allowed: Any) -> None:
-    """Raises ValueError unless the value is one of those of a literal type."""
-    if value not in get_args(allowed):
-        raise ValueError(f"{name} must be one of {', '.join(map(repr, get_args(allowed)))}, got {value!r}")
-
-
-def check(level: float, resamples: int, statistic: str = "mean", method: str = "percentile") -> None:
-    """Raises ValueError for arguments of a bootstrap that make no sense."""
-    check_choice("statistic", statistic, Statistic)
-    check_choice("method", method, Method)
-    if not 0 < level < 1:
-        raise ValueError(f"level must be in (0, 1), got {level!r}")
-    if isinstance(resamples, bool) or not isinstance(resamples, int | np.integer) or resamples < 1:
-        raise ValueError(f"resamples must be an integer of at least 1, got {resamples!r}")
 
 
 def trimmed(statistic: Statistic, size: Any) -> Any:

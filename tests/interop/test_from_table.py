@@ -10,6 +10,7 @@ from gymnasium import spaces
 import hrljax as hrl
 from hrljax import random
 from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.maze import Maze
 from hrljax.envs.table import Table, TableEnvironment
 from hrljax.interop.gymnasium import SingleEnv, from_table
 from hrljax.solvers import Model, value_iteration
@@ -176,12 +177,24 @@ def test_bad_tables_are_refused():
         from_table(Tiny({**GOOD, 1: {0: [(1.0, 2, 0.0, True)]}}), initial=[1, 0])
     with pytest.raises(ValueError, match="rewards must be finite"):
         from_table(Tiny({**GOOD, 1: {0: [(1.0, 0, np.inf, True)]}}), initial=[1, 0])
-    with pytest.raises(ValueError, match=r"initial must have shape \(2,\), got \(3,\)"):
+    with pytest.raises(ValueError, match=r"initial must be probabilities of shape \(2,\), got shape \(3,\)"):
         from_table(Tiny(GOOD), initial=[1, 0, 0])
-    with pytest.raises(ValueError, match="initial must have rows that are not negative and sum to one"):
+    with pytest.raises(ValueError, match="initial must have no negative entry and sum to one, got a sum of 2"):
         from_table(Tiny(GOOD), initial=[1, 1])
+    with pytest.raises(ValueError, match="max_steps must be an integer from 1 to 2147483647, got 0"):
+        from_table(Tiny(GOOD), initial=[1, 0], max_steps=0)
+    with pytest.raises(TypeError, match=r"max_steps must be an integer from 1 to 2147483647, got 2\.5"):
+        from_table(Tiny(GOOD), initial=[1, 0], max_steps=2.5)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"env must be a Gymnasium environment or its id, got Maze\(\)"):
+        from_table(Maze())  # type: ignore[arg-type]
     model = from_table(Tiny(GOOD), initial=[1, 0]).model()
     with pytest.raises(ValueError, match="one shape"):
         Table(model._replace(reward=model.reward[..., :1]), np.array([1.0, 0.0]))
+    with pytest.raises(TypeError, match=r"model must be a hrljax.solvers.Model such as env.model\(\), got 5"):
+        Table(5, np.array([1.0, 0.0]))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="next_state must be integers, got float64"):
+        Table(model._replace(next_state=model.next_state + 0.5), np.array([1.0, 0.0]))
+    with pytest.raises(TypeError, match="action_names must be a sequence of names, got 'a'"):
+        TableEnvironment(Table(model, np.array([1.0, 0.0])), action_names="a")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="action_names must have 1 names"):
         TableEnvironment(Table(model, np.array([1.0, 0.0])), action_names=("a", "b"))

@@ -204,9 +204,15 @@ def test_pictures_of_all_environments():
 
 
 def test_bad_input_is_refused():
-    for count in (0, 1.5, True):
-        with pytest.raises(ValueError, match=f"num_envs must be an integer of at least 1, got {count}"):
+    for count, error in ((0, ValueError), (1.5, TypeError), (True, TypeError)):
+        with pytest.raises(error, match=f"num_envs must be an integer from 1 to 2147483647, got {count}"):
             BatchedEnv("Maze", count)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="max_episode_steps must be an integer from 1 to 2147483647, got 0"):
+        BatchedEnv("Maze", 2, max_episode_steps=0)
+    with pytest.raises(TypeError, match=r"max_episode_steps must be an integer from 1 to 2147483647, got 2.5"):
+        BatchedEnv("Maze", 2, max_episode_steps=2.5)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"seed must be an integer, a sequence of integers or None, got 1.5"):
+        BatchedEnv("Maze", 2).reset(seed=1.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="'sometimes' is not a valid AutoresetMode"):
         BatchedEnv("Maze", 2, autoreset_mode="sometimes")
     with pytest.raises(ValueError, match="render mode must be one of nothing, for Walker has no pictures"):

@@ -183,4 +183,12 @@ def test_bad_input_is_refused():
     with pytest.raises(AttributeError, match="slip"):
         _ = params.slip
     with pytest.raises(ValueError, match=r"env.slip_probability must be a finite number in \[0, 1\], got 3"):
-        env.environment.reset(jax.random.key(0), params.replace(slip_probability=3).numbers)
+        params.replace(slip_probability=3)
+    with pytest.raises(TypeError, match=r"env.max_steps must be an integer from 1 to 2147483647, got 'many'"):
+        params.replace(max_steps="many")
+    with pytest.raises(
+        TypeError, match=r"params must be GymnaxParams .*got MazeParams\(slip_probability=a traced float32"
+    ):
+        env.reset(jax.random.key(0), params.numbers)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"environment must be an environment such as .*got 'Maze'"):
+        adapter.GymnaxEnvironment("Maze")  # type: ignore[arg-type]

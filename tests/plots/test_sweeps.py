@@ -179,8 +179,27 @@ def test_intervals_are_a_row_for_every_learner():
     ("draw", "message"),
     [
         (lambda: learning_curves({}), "curves must hold at least one dataset, got none"),
-        (lambda: learning_curves(curve(), "damage"), "variable must be one of return, length, got 'damage'"),
-        (lambda: learning_curves({"a": curve()}, "damage"), "return, length in 'a', got 'damage'"),
+        (
+            lambda: learning_curves(curve(), "damage"),
+            "variable must be one of return, length, those over episodes, got 'damage'",
+        ),
+        (
+            lambda: learning_curves({"a": curve()}, "damage"),
+            "variable of 'a' must be one of return, length, those over episodes, got 'damage'",
+        ),
+        (
+            lambda: learning_curves(curve().assign(steps=curve()["return"].sum("episode")), "steps"),
+            "length, those over",
+        ),
+        (
+            lambda: learning_curves(curve()["return"].mean("seed")),
+            "curves must have the dimensions 'seed' and 'episode' or",
+        ),
+        (
+            lambda: learning_curves(curve(), references={"optimum": np.nan}),
+            "references: optimum must be a finite number",
+        ),
+        (lambda: heat_map(swept(), "step_size", "pseudo_reward", limits=(5, 1)), r"limits must be in order.*\(5, 1\)"),
         (lambda: heat_map(swept(), "step_size", "step_size"), "x and y must differ, got 'step_size' twice"),
         (lambda: heat_map(swept()[0], "step_size", "pseudo_reward"), "values must have the dimension 'step_size'"),
         (lambda: heat_map(swept().mean("seed"), "step_size", "pseudo_reward"), "values must have the dimension 'seed'"),
@@ -199,6 +218,42 @@ def test_intervals_are_a_row_for_every_learner():
 def test_what_cannot_be_drawn_is_refused(draw: Callable[[], Axes], message: str):
     with pytest.raises(ValueError, match=message):
         draw()
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (
+            lambda: learning_curves([curve()]),
+            "curves must be a dataset of hrljax.sweep, a DataArray, or several by name",
+        ),
+        (
+            lambda: learning_curves({"a": np.zeros(3)}),
+            "curves of 'a' must be a dataset of hrljax.sweep or a DataArray, got",
+        ),
+        (lambda: learning_curves(curve(), window=2.5), "window must be an integer from 1 to 2147483647, got 2.5"),
+        (lambda: learning_curves(curve(), references=5), "references must be a mapping such as .*got 5"),
+        (lambda: learning_curves(curve(), ax="here"), "ax must be Matplotlib's axes or None, got 'here'"),
+        (lambda: heat_map(swept(), "step_size", "pseudo_reward", limits=5), "limits must be two numbers, got 5"),
+        (
+            lambda: sensitivity(np.zeros(3), "step_size"),
+            "values must be a DataArray, or a mapping from names to DataArrays",
+        ),
+        (lambda: intervals(swept()), "values must be a mapping from names to DataArrays, got <xarray.DataArray"),
+        (lambda: intervals({"a": swept()[0, 0]}, "mean"), "statistics must be a sequence of names, got 'mean'"),
+    ],
+)
+def test_what_is_of_the_wrong_type_is_refused(draw: Callable[[], Axes], message: str):
+    with pytest.raises(TypeError, match=message):
+        draw()
+
+
+def test_an_array_of_a_dataset_is_a_curve_too():
+    data = curve(3, step_size=[0.1, 0.2])
+    for drawn in (data["return"], {"HORDQ": data["return"]}, data["return"].rename(None)):
+        lines = learning_curves(drawn).lines
+        for line, expected in zip(lines, learning_curves(data).lines, strict=True):
+            np.testing.assert_array_equal(line.get_xydata(), expected.get_xydata())
 
 
 def test_curves_that_share_a_colour_have_other_dashes():

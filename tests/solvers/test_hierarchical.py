@@ -317,12 +317,13 @@ def test_a_root_must_not_end_before_the_episode():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"active": np.ones((2, 4), np.bool_)}, r"active must have shape \(2, 5\) \(subtasks, states\), got \(2, 4\)"),
+        ({"active": np.ones((2, 4), np.bool_)}, r"active must be bools of shape \(2, 5\), got shape \(2, 4\)"),
         ({"active": np.zeros((2, 5), np.bool_)}, "subtask 'Root' is terminated in every state"),
         ({"active": np.eye(2, 5, dtype=np.bool_) | [[True], [False]]}, "subtask 'Root' in state 0 has no child"),
-        ({"discount": 1.5}, r"discount must be in \[0, 1\], got 1.5"),
-        ({"termination": "late"}, "termination must be 'immediate' or 'on_return', got 'late'"),
-        ({"hierarchy": Hierarchy(["a"], [Subtask("Root", ("a",), bool)])}, "active must have shape"),
+        ({"discount": 1.5}, r"discount must be a finite number in \[0, 1\], got 1.5"),
+        ({"termination": "late"}, "termination must be one of 'immediate', 'on_return', got 'late'"),
+        ({"hierarchy": Hierarchy(["a"], [Subtask("Root", ("a",), bool)])}, "active must be bools of shape"),
+        ({"goal": np.zeros(3)}, r"goal must be numbers of shape \(2, 5\), got shape \(3,\)"),
     ],
 )
 def test_bad_arguments_of_a_process_are_refused(change: dict, message: str):
@@ -339,11 +340,11 @@ def test_bad_policies_and_methods_are_refused():
         process.weights(np.zeros((2, 5)))
     with pytest.raises(ValueError, match="do not sum to one: subtask 'Walk'"):
         process.weights(np.array([[0] * 5, [2] * 5]))
-    with pytest.raises(ValueError, match="method must be 'policy_iteration' or 'value_iteration', got 'magic'"):
+    with pytest.raises(ValueError, match="method must be one of 'policy_iteration', 'value_iteration', got 'magic'"):
         optimise(process, method="magic")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="weights are needed for the contexts that are not free"):
         optimise(process, free=np.array([True, False]))
-    with pytest.raises(ValueError, match="ties must be 'first' or 'last', got 'middle'"):
+    with pytest.raises(ValueError, match="ties must be one of 'first', 'last', got 'middle'"):
         greedy(process, optimise(process), "middle")  # type: ignore[arg-type]
 
 

@@ -1,5 +1,7 @@
 """Moving averages, ranges, areas and thresholds of curves, by hand."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -36,7 +38,7 @@ def test_a_range_of_episodes_weighs_bins_by_their_episodes():
     assert episode_range(many.where(many["seed"] < 1), 0, 45).isnull().values.tolist() == [False, True]
 
 
-@pytest.mark.parametrize("ends", [(5, 45), (0, 44), (0, 50), (-10, 10)])
+@pytest.mark.parametrize("ends", [(5, 45), (0, 44), (0, 50)])
 def test_a_range_has_to_end_with_bins(ends: tuple[int, int]):
     wrong = ends[0] if ends[0] not in (0, *EPISODES) else ends[1]
     with pytest.raises(ValueError, match=f"episode {wrong} is not the end of a bin"):
@@ -120,17 +122,34 @@ def test_episodes_to_reach_along_checkpoints():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"target": 1.0, "share": 0.0}, r"share must be in \(0, 1\], got 0.0"),
-        ({"target": 1.0, "share": 1.01}, r"share must be in \(0, 1\], got 1.01"),
+        ({"target": 1.0, "share": 0.0}, r"share must be a finite number in \(0, 1\], got 0.0"),
+        ({"target": 1.0, "share": 1.01}, r"share must be a finite number in \(0, 1\], got 1.01"),
         ({"target": -24.0, "share": 0.9}, "baseline must be less than the target -24, got 0.0"),
-        ({"target": np.inf}, "target must be a finite number, got inf"),
+        ({"target": np.inf}, "target must be a finite number in .*, got inf"),
         ({"target": 1.0, "window": 9}, "window must be at least a bin of 10 episodes, got 9"),
+        ({"target": 1.0, "along": "time"}, "along must be one of 'episode', 'checkpoint', got 'time'"),
     ],
     ids=str,
 )
 def test_a_threshold_that_makes_no_sense_is_refused(options: dict[str, float], message: str):
     with pytest.raises(ValueError, match=message):
         episodes_to_reach(RISING, **options)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: smoothed(RISING, 2.5), TypeError, "window must be an integer from 1 to 2147483647, got 2.5"),
+        (lambda: smoothed(RISING, True), TypeError, "window must be an integer from 1 to 2147483647, got True"),
+        (lambda: smoothed(np.zeros(3), 10), TypeError, "values must be a DataArray such as .*got array"),
+        (lambda: episode_range(RISING, 0, 1.5), TypeError, "last must be an integer from 0 to 2147483647, got 1.5"),
+        (lambda: episode_range(RISING, -10, 10), ValueError, "first must be an integer from 0 to 2147483647, got -10"),
+        (lambda: area_under_curve(RISING, reference=np.nan), ValueError, "reference must be a finite number .*got nan"),
+    ],
+)
+def test_a_bad_argument_is_refused(call: Callable[[], object], error: type[Exception], message: str):
+    with pytest.raises(error, match=message):
+        call()
 
 
 @settings(derandomize=True, deadline=None, max_examples=50)

@@ -1,5 +1,7 @@
 """Means, interquartile means and intervals against SciPy and by hand."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -185,12 +187,38 @@ def test_a_bootstrap_covers_the_truth_about_as_often_as_it_says(statistic: str):
     [
         ({"statistic": "mode"}, "statistic must be one of 'mean', 'interquartile_mean', 'median', got 'mode'"),
         ({"method": "t"}, "method must be one of 'percentile', 'bca', got 't'"),
-        ({"level": 95}, r"level must be in \(0, 1\), got 95"),
-        ({"resamples": 0}, "resamples must be an integer of at least 1, got 0"),
-        ({"resamples": 10.0}, "resamples must be an integer of at least 1, got 10.0"),
+        ({"level": 95}, r"level must be a share in \(0, 1\), got 95; perhaps 0.95 is meant"),
+        ({"resamples": 0}, "resamples must be an integer from 1 to 2147483647, got 0"),
+        ({"key": -1}, "key must be an integer from 0 to 18446744073709551615, got -1"),
+        ({"dim": "seeds"}, "values must have a dimension 'seeds', got seed"),
     ],
     ids=str,
 )
 def test_a_bad_argument_of_a_bootstrap_is_refused(options: dict[str, object], message: str):
     with pytest.raises(ValueError, match=message):
         bootstrap_interval(runs(skewed(5)), **options)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: bootstrap_interval(runs(skewed(5)), resamples=10.0),
+            "resamples must be an integer from 1 to .*got 10.0",
+        ),
+        (lambda: mean(np.zeros(3)), r"values must be a DataArray such as curves\['return'\], got array"),
+        (lambda: mean_interval(runs(skewed(5)), level="0.95"), "level must be a number, got '0.95'"),
+    ],
+)
+def test_an_argument_of_the_wrong_type_is_refused(call: Callable[[], object], message: str):
+    with pytest.raises(TypeError, match=message):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [(95, r"in \(0, 1\), got 95; perhaps 0.95 is meant"), (1, r"in \(0, 1\), got 1"), (-0.5, r"in \(0, 1\), got -0.5")],
+)
+def test_a_level_is_a_share(level: float, message: str):
+    with pytest.raises(ValueError, match=message):
+        mean_interval(runs(skewed(5)), level=level)

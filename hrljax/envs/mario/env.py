@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import gymnasium
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.core import Tracer
 
+from hrljax import checks
 from hrljax.envs.base import Environment
 from hrljax.envs.mario.competition import (
     COLUMNS,
@@ -87,6 +87,7 @@ class Mario(Environment[Episode, MarioParams]):
             exact.
 
     Raises:
+        TypeError: an option is of the wrong kind.
         ValueError: an option is unknown or out of range, or a level cannot be read.
     """
 
@@ -107,15 +108,13 @@ class Mario(Environment[Episode, MarioParams]):
     renderer = "hrljax.envs.mario.state_render"
 
     def __post_init__(self) -> None:
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset must be one of {', '.join(map(repr, PRESETS))}, got {self.preset!r}")
-        if self.actions is not None and self.actions not in _ACTIONS:
-            raise ValueError(f"actions must be None or one of {', '.join(map(repr, _ACTIONS))}, got {self.actions!r}")
+        checks.choice("preset", self.preset, PRESETS)
+        checks.choice("actions", self.actions, (None, *_ACTIONS))
         check_quantum(self.quantum)
-        for name in ("seeds", "levels"):
-            value = getattr(self, name)
-            if not isinstance(value, tuple):
-                raise ValueError(f"{name} must be a tuple, got {value!r}")
+        for name, value in (("seeds", self.seeds), ("levels", self.levels)):
+            checks.instance(name, value, tuple, "a tuple")
+        for number, level in enumerate(self.levels):
+            checks.text(f"levels[{number}]", level, "hrljax.envs.mario.level_ascii.to_ascii(level)")
         count = len(self.levels or self.seeds)
         if not 1 <= count <= _MOST_LEVELS:
             raise ValueError(f"seeds or levels must name 1 to {_MOST_LEVELS} levels, got {count}")
@@ -155,7 +154,7 @@ class Mario(Environment[Episode, MarioParams]):
     def transition(
         self, state: Episode, action: Array, words: tuple[Array, ...], params: MarioParams
     ) -> tuple[Episode, Array, Array, dict[str, Array]]:
-        self._check_action(action)
+        action = checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True)
         after = advance(self.course, state, self.keys(action), params.max_steps, self.quantum)
         terminated = after.phase == OBSERVED
         ends = terminated & (state.phase != OBSERVED)
@@ -167,15 +166,6 @@ class Mario(Environment[Episode, MarioParams]):
     def keys(self, action: Array) -> Array:
         """The keys that an action holds, as bits of `hrljax.envs.mario.state` (int32)."""
         return take(jnp.asarray(np.array([keys_of(*action) for action in self.action_table], np.int32)), action)
-
-    def _check_action(self, action: Any) -> None:
-        if jnp.shape(action) != () or not jnp.issubdtype(jnp.result_type(action), jnp.integer):
-            raise ValueError(
-                f"action must be one integer, got {jnp.result_type(action)} of shape {list(jnp.shape(action))}; "
-                "map over a batch"
-            )
-        if not isinstance(action, Tracer) and not 0 <= int(action) < self.num_actions:
-            raise ValueError(f"action must be in 0..{self.num_actions - 1}, got {int(action)}")
 
     def observation(self, state: Episode) -> Array:
         """The screen as characters, ``[16, 21]`` uint8 (`hrljax.envs.mario.competition.screen`)."""

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.state import KIND_NAMES, MAX_SPRITES, WINGED, Player, Sprites, World
 from hrljax.envs.mario.tiles import EMPTY, HEIGHT, SYMBOL_EXIT, SYMBOLS, TILE
@@ -96,8 +97,7 @@ def window(
     Raises:
         ValueError: `size` is no odd number of at least 1.
     """
-    if isinstance(size, bool) or not isinstance(size, int) or size < 1 or size % 2 == 0:
-        raise ValueError(f"size must be an odd number of at least 1, got {size!r}")
+    checks.odd("size", size)
     own_column, own_row = cell(world.player.x, world.player.y)
     left = (own_column if column is None else jnp.asarray(column, jnp.int32)) - np.int32(size // 2)
     top = (own_row if row is None else jnp.asarray(row, jnp.int32)) - np.int32(size // 2)
@@ -183,8 +183,7 @@ def own_state(player: Player, per_unit: int = 1) -> OwnState:
     Raises:
         ValueError: `per_unit` is no whole number of at least 1.
     """
-    if isinstance(per_unit, bool) or not isinstance(per_unit, int) or per_unit < 1:
-        raise ValueError(f"per_unit must be a whole number of at least 1, got {per_unit!r}")
+    checks.integer("per_unit", per_unit, 1)
 
     def quantised(displacement: Array) -> Array:
         steps = jnp.round(displacement * np.float32(per_unit) / np.float32(VELOCITY_UNIT)).astype(jnp.int32)

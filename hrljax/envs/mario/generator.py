@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hrljax import checks
 from hrljax.envs.mario.ground import with_edges
 from hrljax.envs.mario.java_random import JavaRandom
 from hrljax.envs.mario.level import GOOMBA, MIN_COLUMNS, PIRANHA, RED_KOOPA, WINGED, Level, stack_levels
@@ -53,13 +54,13 @@ def generate_level(seed: int, level_type: int = OVERGROUND, difficulty: int = 0,
         Level of ``W = width + 50`` columns.
 
     Raises:
-        ValueError: an argument is outside what is said above.
+        TypeError, ValueError: an argument is no integer, or outside what is said above.
     """
-    _check("seed", seed, -(2**31), 2**31 - 1, "a signed number of 32 bits")
-    _check("level_type", level_type, 0, 2, "0 overground, 1 underground or 2 castle")
-    _check("difficulty", difficulty, 0, _MOST, "0 to 1,000,000")
-    _check("width", width, MIN_COLUMNS, _MOST, f"{MIN_COLUMNS} (one screen) to 1,000,000 tiles")
-    return _Draft(int(seed), int(level_type), int(difficulty), int(width) + _EXTRA_COLUMNS).level()
+    seed = checks.integer("seed", seed, -(2**31))
+    level_type = checks.integer("level_type", level_type, 0, 2, meaning="overground, underground, castle")
+    difficulty = checks.integer("difficulty", difficulty, 0, _MOST)
+    width = checks.integer("width", width, MIN_COLUMNS, _MOST, meaning="tiles, at least one screen")
+    return _Draft(seed, level_type, difficulty, width + _EXTRA_COLUMNS).level()
 
 
 def generate_levels(
@@ -67,11 +68,6 @@ def generate_levels(
 ) -> Level:
     """The levels of several seeds as one `Level` with a leading axis; arguments as `generate_level`."""
     return stack_levels([generate_level(int(seed), level_type, difficulty, width) for seed in seeds])
-
-
-def _check(name: str, value: int, lowest: int, highest: int, allowed: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not lowest <= value <= highest:
-        raise ValueError(f"{name} must be an integer, {allowed}; got {value!r}")
 
 
 class _Draft:

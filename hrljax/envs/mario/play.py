@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hrljax.envs.base import concrete_params
+from hrljax.envs.base import numbers_of
 from hrljax.envs.mario import features
 from hrljax.envs.mario.competition import OBSERVED, PLAYING, TICKS, Episode, held_keys, keys_of, unbegun
 from hrljax.envs.mario.course import Course
@@ -61,7 +61,7 @@ def play(env: Mario, policy: Policy, params: MarioParams | None = None, level: i
         raise ValueError('env must have actions="all"')
     if not 0 <= level < env.course.num_levels:
         raise ValueError(f"level must be in 0..{env.course.num_levels - 1}, got {level}")
-    numbers = concrete_params(env.default_params if params is None else params)
+    numbers = numbers_of(env, params)
     take_step, take_tick = _compiled(env)
     # The first observation comes after a step without keys.
     episode = take_step(unbegun(env.course, level), jnp.int32(_NO_OP), numbers)[0]

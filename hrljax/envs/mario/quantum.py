@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax import checks
 from hrljax.envs.mario.state import World
 
 QUANTA = (1, 2, 4, 8, 16, 32, 64)
@@ -11,9 +12,9 @@ QUANTA = (1, 2, 4, 8, 16, 32, 64)
 
 
 def check_quantum(quantum: int | None) -> None:
-    """Raises ValueError unless `quantum` is None or one of `QUANTA`."""
-    if quantum is not None and (isinstance(quantum, bool) or quantum not in QUANTA):
-        raise ValueError(f"quantum must be None or one of {', '.join(map(str, QUANTA))}, got {quantum!r}")
+    """Raises unless `quantum` is None or one of `QUANTA`."""
+    if quantum is not None:
+        checks.choice("quantum", checks.integer("quantum", quantum, 1, QUANTA[-1]), (None, *QUANTA))
 
 
 def snapped(values: Array, quantum: int) -> Array:

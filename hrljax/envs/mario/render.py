@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from hrljax import checks
 from hrljax.envs.mario.course import Course
 from hrljax.envs.mario.ground import level_type_of
 from hrljax.envs.mario.level import KIND_MASK, PIRANHA, SCREEN_WIDTH, WINGED, Level, check_level
@@ -90,8 +91,8 @@ def level_strip(
     """
     _check_tile_pixels(tile_pixels)
     level = check_level(level)
-    if columns is not None and columns < 1:
-        raise ValueError(f"columns must be at least 1, got {columns}")
+    if columns is not None:
+        checks.integer("columns", columns, 1)
     per_row = min(columns or level.num_columns, level.num_columns)
     rows = []
     for first in range(0, level.num_columns, per_row):
@@ -128,8 +129,7 @@ def save_gif(frames: Iterable[np.ndarray], path: str | PathLike[str], fps: float
     Raises:
         ValueError: there are no frames, they have another type or differ in shape, or `fps` is out of range.
     """
-    if not 0 < fps <= 50:
-        raise ValueError(f"fps must be over 0 and at most 50, got {fps!r}")
+    checks.number("fps", fps, checks.Interval(0, 50, low_open=True))
     shots = []
     for i, frame in enumerate(frames):
         shape = shots[0].shape if shots else frame.shape
@@ -235,8 +235,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def _check_tile_pixels(tile_pixels: int) -> None:
-    if isinstance(tile_pixels, bool) or not isinstance(tile_pixels, int) or tile_pixels < 4:
-        raise ValueError(f"tile_pixels must be a whole number of at least 4, got {tile_pixels!r}")
+    checks.integer("tile_pixels", tile_pixels, 4)
 
 
 def _poses(sprites: Sprites, count: int) -> list[tuple[tuple[float, float], Pose]]:

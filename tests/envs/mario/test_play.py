@@ -97,7 +97,7 @@ def test_actions_need_the_recorded_policy(tmp_path):
     main, options = SCRIPT["main"], SCRIPT["Options"]
     with pytest.raises(ValueError, match="--actions goes with --policy recorded"):
         main(options(policy="recorded", out=tmp_path))
-    with pytest.raises(ValueError, match="--ticks-per-frame must be an integer of at least 1, got 0"):
+    with pytest.raises(ValueError, match="--ticks-per-frame must be an integer from 1 to 2147483647, got 0"):
         main(options(ticks_per_frame=0, out=tmp_path))
 
 
