@@ -159,14 +159,14 @@ class RelationalHORDQ(Learner):
         )
         change = exact_product(size, target - old, moment.zero)
         if self.trace_length:
-            trail = _reached(tables.trail, before, step, self.trace_length)
+            trail = _reached(tables.trail, before, step, self.trace_length, moment.live)
             decay = exact_product(
                 jnp.asarray(at_episode(self.discount, moment.episode)),
                 jnp.asarray(self.trace_decay, jnp.float32),
                 moment.zero,
             )
             weights = self._along(prepared, tables.weights, trail, change, decay, moment)
-            trail = trail._replace(length=lax.select(step.terminated, jnp.int32(0), trail.length))
+            trail = trail._replace(length=lax.select(step.terminated & moment.live, jnp.int32(0), trail.length))
         else:
             trail, weights = (), self._added(prepared, tables.weights, before, step.action, change)
         return LearnerState(Tables(weights, trail, root), Control(action, plan))
@@ -240,12 +240,16 @@ def _concepts(episode: Any) -> Concepts:
     return packed[: len(cells)], count
 
 
-def _reached(trail: Trail, concepts: Concepts, step: Experience, length: int) -> Trail:
-    """The trail with one more step."""
+def _reached(trail: Trail, concepts: Concepts, step: Experience, length: int, live: Array) -> Trail:
+    """The trail with one more step, where `live`."""
     at = trail.length % np.int32(length)
+    cells, counts, actions = (
+        lax.select(jnp.broadcast_to(live, new.shape), new, old[at])
+        for new, old in zip((*concepts, step.action), trail[:3], strict=True)
+    )
     return Trail(
-        cells=lax.dynamic_update_slice(trail.cells, concepts[0][None], (at, jnp.int32(0))),
-        counts=put_row(trail.counts, at, concepts[1][None]),
-        actions=put_row(trail.actions, at, step.action[None]),
-        length=trail.length + 1,
+        cells=lax.dynamic_update_slice(trail.cells, cells[None], (at, jnp.int32(0))),
+        counts=put_row(trail.counts, at, counts[None]),
+        actions=put_row(trail.actions, at, actions[None]),
+        length=trail.length + jnp.asarray(live).astype(jnp.int32),
     )

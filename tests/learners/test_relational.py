@@ -116,6 +116,24 @@ def test_weights_are_those_of_plain_python(walk: Recorded, options: dict[str, An
     assert any(python.concepts(step.state) for step in walk.steps)
 
 
+def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
+    """Runs in step under `vmap` take such steps; the trail has to stay as it is, at its end and where it wraps."""
+    learner = RelationalHORDQ(epsilon=0.3, trace_length=5, trace_decay=0.8)
+    prepared = learner.prepare(ENV)
+
+    @jax.jit
+    def learn(state: Any, step: Experience, live: Any) -> Any:
+        now = moment()._replace(live=live)
+        return learner.learn(prepared, state, step, (jnp.uint32(3),), now)
+
+    state = learner.init(ENV, prepared)
+    for step in walk.steps[:7]:
+        state = learn(state, step, jnp.bool_(True))
+    assert int(state.tables.trail.length) == 7
+    for step in (walk.steps[8], walk.steps[8]._replace(terminated=jnp.bool_(True))):
+        chex.assert_trees_all_equal(learn(state, step, jnp.bool_(False)).tables, state.tables)
+
+
 def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Recorded):
     alone, without = replayed(RelationalHORDQ(epsilon=0.3), walk)
     under_root, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.3, pseudo_reward=0.0), walk)
