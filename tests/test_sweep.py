@@ -66,7 +66,6 @@ def test_attributes_name_every_setting(grid: xr.Dataset):
         "learner.discount": 1.0,
         "learner.initial_value": 0.0,
         "learner.bootstrap": "greedy",
-        "learner.pseudo_reward_in": "own_table",
         "env.slip_probability": "swept",
         "env.damage_probability": 1.0,
         "env.breakdown_probability": 0.25,

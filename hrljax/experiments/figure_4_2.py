@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from hrljax import plots, stats
 from hrljax.envs.bus import Bus, BusParams
 from hrljax.envs.bus_map import KAO_V1
+from hrljax.experiments.backup import PseudoRewardInBackup
 from hrljax.experiments.rows import interval_row
 from hrljax.learners.base import Learner
 from hrljax.learners.flat import SARSA, QLearning
@@ -54,7 +55,7 @@ def curves(num_episodes: int) -> list[Curve]:
             learner = HORDQ(hierarchy, root, pseudo_reward=pseudo_reward, initial_value=-25.0)
             found.append(Curve(f"HORDQ({name})", panel, learner))
         found.append(Curve("MAXQ(60)", panel, MAXQ(hierarchy, root, pseudo_reward=60.0)))
-    in_backup = HORDQ(hierarchy, RandomRoot(), pseudo_reward=5.0, initial_value=-25.0, pseudo_reward_in="backup")
+    in_backup = PseudoRewardInBackup(hierarchy, RandomRoot(), pseudo_reward=5.0, initial_value=-25.0)
     found.append(Curve("MAXQ(0), random root", "fails", MAXQ(hierarchy, RandomRoot(), pseudo_reward=0.0)))
     found.append(Curve("HORDQ(5 in the backup), random root", "fails", in_backup))
     return found

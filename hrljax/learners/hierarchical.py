@@ -21,7 +21,6 @@ from hrljax.learners.task_stack import Control, Ended, StackLearner, readable
 from hrljax.numerics import put_row, stage, take_row
 
 Bootstrap = Literal["greedy", "on_policy"]
-PseudoRewardIn = Literal["own_table", "backup"]
 _PARTS = len(td.Parts._fields)
 
 
@@ -29,14 +28,12 @@ _PARTS = len(td.Parts._fields)
 class _Decomposed(StackLearner):
     pseudo_reward: Hyperparameter = hyperparameter(0.0, schedule=True)
     bootstrap: Bootstrap = field(default="greedy", kw_only=True)
-    pseudo_reward_in: PseudoRewardIn = field(default="own_table", kw_only=True)
 
     _has_exit_value: ClassVar[bool]
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_choice("bootstrap", Bootstrap)
-        self._check_choice("pseudo_reward_in", PseudoRewardIn)
 
     @property
     def _is_on_policy(self) -> bool:
@@ -108,10 +105,7 @@ class _Decomposed(StackLearner):
     def _target(
         self, reward: Array, discount: Any, exited: Array, pseudo: Array, follows: td.Parts, zero: Array
     ) -> td.Parts:
-        target = td.hordq_targets(reward, discount, exited, pseudo, follows, zero)
-        if self.pseudo_reward_in == "own_table":
-            return target
-        return target._replace(completion=lax.select(exited, pseudo, target.completion), pseudo=jnp.float32(0))
+        return td.hordq_targets(reward, discount, exited, pseudo, follows, zero)
 
 
 @dataclass(frozen=True)
@@ -133,9 +127,6 @@ class HORDQ(_Decomposed):
         pseudo_reward: paid to a subtask that ends in its goal, or a schedule of the episode.
         bootstrap: ``"greedy"`` bootstraps on the greedy child (thesis 3.12), ``"on_policy"`` on the
             child that is invoked next.
-        pseudo_reward_in: ``"own_table"`` keeps the pseudo-reward apart, so that it biases choices
-            only. ``"backup"`` writes it into Q_c, from where it spreads into every bootstrap: an
-            agent without discounting then earns it for ever. Only there to show that.
     """
 
     name = "HORDQ"

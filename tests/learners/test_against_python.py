@@ -11,6 +11,7 @@ import pytest
 
 import hrljax
 from hrljax.envs.bus import Bus, BusParams
+from hrljax.experiments.backup import PseudoRewardInBackup
 from hrljax.train import bin_sizes, metric_names
 from tests.words import KEY, drawn
 
@@ -139,7 +140,7 @@ class Hierarchical:
             target = [F(reward), F(0), discount * (next_r + next_c + next_e), pseudo]
         else:
             target = [F(reward), discount * (next_r + next_c), discount * next_e, discount * next_p]
-        if self.learner.pseudo_reward_in == "backup":
+        if isinstance(self.learner, PseudoRewardInBackup):
             target[1:] = [pseudo if ended else target[1], target[2], F(0)]
         old = self.parts[task, state, action]
         self.parts[task, state, action] = old + self.step_size * (np.array(target) - old)
@@ -269,9 +270,7 @@ LEARNERS = {
         bootstrap="on_policy",
         step_size=optax.linear_schedule(0.5, 0.1, 40),
     ),
-    "HORDQ in the backup": hrljax.HORDQ(
-        HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, pseudo_reward_in="backup", discount=0.9
-    ),
+    "HORDQ in the backup": PseudoRewardInBackup(HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, discount=0.9),
     "HORDQ planned": hrljax.HORDQ(HIERARCHY, hrljax.ModelRoot(), pseudo_reward=5.0, discount=0.99, initial_value=-25.0),
     "MAXQ": hrljax.MAXQ(
         HIERARCHY, hrljax.RandomRoot(), pseudo_reward=60.0, epsilon=optax.linear_schedule(0.5, 0.1, 40), discount=0.97

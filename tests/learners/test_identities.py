@@ -11,6 +11,7 @@ from jax import Array, lax
 
 import hrljax
 from hrljax.envs.bus import Bus, BusParams
+from hrljax.experiments.backup import PseudoRewardInBackup
 from hrljax.learners import td
 
 KEY = jax.random.key(5)
@@ -56,9 +57,7 @@ def assert_equal(one: Any, other: Any) -> None:
 def test_without_a_pseudo_reward_its_table_does_nothing(hordq):
     with_table = hordq(0.0)
     assert not parts(with_table)[..., PSEUDO].any()
-    without = runner(hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), initial_value=-25.0, pseudo_reward_in="backup"))(
-        pseudo_reward=0.0
-    )
+    without = runner(PseudoRewardInBackup(HIERARCHY, hrljax.RandomRoot(), initial_value=-25.0))(pseudo_reward=0.0)
     assert_equal(with_table, without)
     assert parts(with_table)[..., COMPLETION].any()
 
