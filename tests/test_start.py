@@ -151,7 +151,7 @@ def test_starts_that_do_not_fit_are_refused_before_anything_is_compiled(halves: 
     one.episodes = 2**31 - 10
     with pytest.raises(ValueError, match=r"2147483638 episodes before and 10 more must be below 2\*\*31"):
         hrl.train(SMALL, learner, KEY, 10, start=one)
-    with pytest.raises(ValueError, match="episodes and steps must be at least 0, got -1 and 0"):
+    with pytest.raises(ValueError, match="episodes must be an integer from 0 to 2147483647, got -1"):
         hrl.Learned(SMALL, learner, one.tables, episodes=-1)
 
 
