@@ -27,7 +27,10 @@ import hrljax as hrl
 from hrljax import batch
 from hrljax.envs.base import concrete_params
 from hrljax.envs.outcomes import outcome_table
+from hrljax.experiments import program
 from hrljax.learners.task_tables import planning_points, tabulate
+
+program.require("bench", "numba", "simple_rl")
 
 try:
     from benchmarks import numba_bus

@@ -30,7 +30,10 @@ import numpy as np
 import tyro
 
 from hrljax import batch
+from hrljax.experiments import program
 from hrljax.planners.best_first import best_first_search
+
+program.require("bench", "numba", "sklearn")
 
 try:
     from benchmarks import numba_planner, planner_trees

@@ -24,13 +24,17 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from jax import lax
-from sklearn.tree import DecisionTreeRegressor
 
 from hrljax import xla
 from hrljax.envs.mario.env import ALL_ACTIONS
 from hrljax.envs.mario.recordings import read_episodes
 from hrljax.envs.mario.transitions import INPUT_CATEGORIES, TARGETS, Transitions, read_transitions
+from hrljax.experiments import program
 from hrljax.models.regression_tree import RegressionTree, Trees, predict
+
+program.require("bench", "sklearn")
+
+from sklearn.tree import DecisionTreeRegressor  # noqa: E402
 
 try:
     import Orange  # pyright: ignore[reportMissingImports]

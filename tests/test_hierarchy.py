@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrljax.envs.bus import Bus, BusState
-from hrljax.hierarchy import Hierarchy, Subtask
+from hrljax.hierarchy import Abstraction, Hierarchy, Subtask
 from hrljax.learners.task_tables import tabulate
 from hrljax.solvers import joint_process
 from tests.strategies import Problem, ProblemEnvironment, hierarchy_on, problems
@@ -63,6 +63,45 @@ def chain(length: int) -> Hierarchy:
 def test_bad_graphs_are_refused_by_name(subtasks: list[Subtask], message: str):
     with pytest.raises(ValueError, match=message):
         Hierarchy(["go", "stop"], subtasks)
+
+
+def anywhere(state: object) -> jax.Array:
+    return jnp.bool_(False)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Subtask("A", ("go",), None), "subtask 'A': termination must be a function of a state, got None"),
+        (lambda: Subtask("A", ("go",), lambda: True), r"subtask 'A': termination must be .*the arguments \(\)"),
+        (
+            lambda: Subtask("A", ("go",), anywhere, goal=5),
+            "subtask 'A': goal must be a function of a state, or None, got 5",
+        ),
+        (lambda: Subtask("A", "go", anywhere), "subtask 'A': children must be a sequence of names, got 'go'"),
+        (lambda: Subtask("A", (0,), anywhere), r"subtask 'A': children must be a sequence of names, got \(0,\)"),
+        (lambda: Subtask(5, ("go",), anywhere), "name must be a string such as 'Root', got 5"),
+        (
+            lambda: Subtask("A", ("go",), anywhere, abstraction=5),
+            "subtask 'A': abstraction must be an Abstraction or None",
+        ),
+        (
+            lambda: Subtask("A", ("go",), anywhere, abstraction=Abstraction(None, anywhere)),
+            "subtask 'A': abstraction.planning must be a function of a state, got None",
+        ),
+        (lambda: Hierarchy("go", [task("A", "go")]), "actions must be a sequence of names, got 'go'"),
+        (lambda: Hierarchy(4, [task("A", "go")]), "actions must be a sequence of names, got 4"),
+        (lambda: Hierarchy(("go",), task("A", "go")), r"subtasks must be a sequence of hrljax.Subtask, got Subtask\("),
+        (lambda: Hierarchy(("go",), ["A"]), r"subtasks must be a sequence of hrljax.Subtask, got \['A'\]"),
+    ],
+)
+def test_what_is_of_the_wrong_type_is_refused_by_name(make, message: str):
+    with pytest.raises(TypeError, match=message):
+        make()
+
+
+def test_children_may_be_a_list():
+    assert Subtask("A", ["go"], anywhere).children == ("go",)  # type: ignore[arg-type]
 
 
 def test_actions_have_names_of_their_own():

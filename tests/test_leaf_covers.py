@@ -76,6 +76,12 @@ def test_bad_covers_are_refused_by_name():
         inaccessible(tasks, np.ones((2, 1), np.bool_), ["Root"])
     with pytest.raises(ValueError, match=r"active must be bools of shape \(2, any\), got shape \(3, 1\)"):
         accessible(tasks, np.ones((3, 1), np.bool_))
+    with pytest.raises(TypeError, match=r"active must be bools of shape \(2, any\), got float64"):
+        inaccessible(tasks, np.ones((2, 1)))
+    with pytest.raises(TypeError, match="cover must be a sequence of names, got 'Root'"):
+        total_leaf_cover(tasks, "Root")
+    with pytest.raises(TypeError, match=r"hierarchy must be a Hierarchy such as env.hierarchy\(\), got 'x'"):
+        total_leaf_cover("x")  # type: ignore[arg-type]
 
 
 # Access in every active state

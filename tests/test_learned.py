@@ -259,6 +259,45 @@ def test_one_run_out_of_many(tmp_path: Path):
     xr.testing.assert_equal(swept["steps"], hrljax.sweep(MAZE, learner, **SWEEP, axes=axes)["steps"])
 
 
+def test_what_is_not_on_the_grid_is_refused_with_what_is():
+    learner = hrljax.QLearning()
+    swept = hrljax.sweep(MAZE, learner, **SWEEP, keep_learned=True, axes={"step_size": [0.1, 0.5]})
+    good: dict[str, Any] = {"dataset": swept, "env": MAZE, "learner": learner, "seed": 1, "at": {"step_size": 0.5}}
+    assert Learned.of(**{**good, "seed": np.int64(1), "at": {"step_size": np.float64(0.5)}}).learner.step_size == 0.5
+    for wrong, error, message in (
+        ({"seed": 99}, KeyError, "seed must be one of 0, 1(, 2)*, got 99"),
+        ({"seed": -1}, KeyError, "seed must be one of 0, 1(, 2)*, got -1"),
+        ({"seed": True}, TypeError, "seed must be an integer from .*got True"),
+        ({"at": {"step_size": 0.3}}, KeyError, "at: step_size must be one of 0.1, 0.5, got 0.3"),
+        ({"at": {"step_size": "0.1"}}, TypeError, "at: step_size must be a number, got '0.1'"),
+        ({"at": [0.1]}, TypeError, r"at must be a mapping such as .*got \[0.1\]"),
+        ({"dataset": swept["return"]}, TypeError, "dataset must be a dataset of hrljax.sweep.*got <xarray.DataArray"),
+        ({"dataset": swept[["return"]]}, ValueError, "dataset must have the variable 'steps', .*it has return"),
+        ({"env": "Maze"}, TypeError, "env must be the environment of the sweep, got 'Maze'"),
+        ({"learner": None}, TypeError, "learner must be the learner of the sweep, got None"),
+    ):
+        with pytest.raises(error, match=message):
+            Learned.of(**{**good, **wrong})
+    many = xr.Dataset({"steps": ("seed", np.ones(500))}, {"seed": np.arange(500)}, swept.attrs)
+    with pytest.raises(KeyError, match=r"seed must be one of 0, 1, .*, 11 and 488 more, up to 499, got 500"):
+        Learned.of(many, MAZE, learner, seed=500)
+
+
+def test_a_policy_is_asked_with_numbers_of_states():
+    policy = Learned(MAZE, hrljax.QLearning(), some_tables(MAZE, hrljax.QLearning())).policy()
+    assert policy(np.int64(3)) == policy(3)
+    for wrong in (None, 1.5, MAZE.decode(jnp.int32(3))):
+        with pytest.raises(TypeError, match="state must be the number of a state, an integer, got "):
+            policy(wrong)
+
+
+def test_paths_are_paths():
+    learned = Learned(MAZE, hrljax.QLearning(), some_tables(MAZE, hrljax.QLearning()))
+    for call in (lambda: learned.save(5), lambda: Learned.load(None)):  # type: ignore[arg-type]
+        with pytest.raises(TypeError, match=r"path must be a path: a string or a pathlib.Path, got (5|None)"):
+            call()
+
+
 def test_tables_of_something_else_are_refused():
     learner = hrljax.QLearning()
     with pytest.raises(ValueError, match=r"one run of Q-learning on Maze, .*\[126\], got .*\[2, 126\]"):

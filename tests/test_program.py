@@ -1,6 +1,9 @@
 """How the programs in scripts/ check their options and end."""
 
 import json
+import re
+import runpy
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,3 +62,18 @@ def test_the_last_words_tell_what_is_missing(tmp_path: Path, capsys: pytest.Capt
 def test_a_summary_is_json(tmp_path: Path):
     program.write_summary(tmp_path, [{"a": None}])
     assert json.loads((tmp_path / "summary.json").read_text()) == [{"a": None}]
+
+
+@pytest.mark.parametrize(
+    ("name", "package"), [("bus", "numba"), ("mario_planner", "numba"), ("mario_trees", "sklearn")]
+)
+def test_a_benchmark_without_its_extra_ends_with_a_sentence(
+    name: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(Path(__file__).parents[1] / "benchmarks" / f"{name}.py"), run_name="__main__")
+    assert ended.value.code == 2
+    assert re.fullmatch(
+        rf"error: this program needs .*{package}.*: pip install -e '\.\[bench\]' .*\n", capsys.readouterr().err
+    )

@@ -121,3 +121,15 @@ def test_there_is_nothing_to_load(tmp_path: Path):
     for name in ("nowhere", "folder"):
         with pytest.raises(FileNotFoundError, match=f"no Zarr store at .*{name}"):
             load(tmp_path / name)
+
+
+def test_what_is_no_dataset_or_no_path_is_refused(tmp_path: Path):
+    for call, message in (
+        (lambda: save(5, tmp_path / "x"), "dataset must be a dataset of hrljax.sweep, got 5"),
+        (lambda: save(xr.DataArray([1.0]), tmp_path / "x"), "dataset must be .*got <xarray.DataArray"),
+        (lambda: save(xr.Dataset(), 5), "path must be a path: .*got 5"),
+        (lambda: load(None), "path must be a path: .*got None"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            call()
+    assert not list(tmp_path.iterdir())

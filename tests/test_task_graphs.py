@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
@@ -61,3 +62,16 @@ def test_lines_over_several_layers_pass_between_the_boxes():
     assert len(task_graphs._route((0.25, -1), (0.125, -2), layers, 5.5)) == 2
     alone = task_graphs._route((0.5, 0), (0.5, -2), [["Root"], ["Middle"], ["go"]], 5.5)
     assert [x for x, _ in alone] == [0.5, 0.25, 0.25, 0.5]
+
+
+def test_only_hierarchies_are_drawn():
+    for call, message in (
+        (lambda: task_graphs.text("x"), "hierarchy must be a Hierarchy such as .*got 'x'"),
+        (lambda: task_graphs.draw(5), "hierarchy must be a Hierarchy such as .*got 5"),
+        (
+            lambda: task_graphs.draw_completion(Taxi().hierarchy(), Taxi().hierarchy()),  # type: ignore[arg-type]
+            "total must be what hrljax.total_leaf_cover returned, got Hierarchy",
+        ),
+    ):
+        with pytest.raises(TypeError, match=message):
+            call()

@@ -1,8 +1,9 @@
-"""What the programs in scripts/ share: checks of their options, what they write, how they end."""
+"""What the programs in scripts/ and benchmarks/ share: checks of their options, what they write, how they end."""
 
 import json
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -22,6 +23,15 @@ def run(main: Callable[[Options], int], options: type[Options]) -> NoReturn:
         sys.exit(main(tyro.cli(options)))
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
+
+
+def require(extra: str, *packages: str) -> None:
+    """Ends the process with a sentence and status 2 unless some packages of an extra are installed."""
+    missing = [package for package in packages if find_spec(package) is None]
+    if missing:
+        command = f"pip install -e '.[{extra}]'"
+        print(f"error: this program needs {' and '.join(missing)}: {command} installs what is missing", file=sys.stderr)
+        sys.exit(2)
 
 
 def check_counts(options: Any, *names: str) -> None:

@@ -228,6 +228,11 @@ def test_errors_name_the_row_and_the_column(text: str, row: int, column: int, pr
         parse(text)
 
 
+def test_a_map_may_begin_with_a_newline():
+    for found, expected in zip(parse("\n" + SMALL), parse(SMALL), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_a_line_longer_than_the_first_is_named():
     with pytest.raises(MapError, match=r"row 6, column \d+: wrong size: 27 characters; the first line has 25"):
         parse(changed(KAO_V1, 6, 26, " |"))

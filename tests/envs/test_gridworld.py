@@ -90,6 +90,15 @@ def test_errors_name_the_row_and_the_column(text: str, row: int, column: int, pr
         Gridworld(map=text)
 
 
+def test_a_map_may_begin_with_a_newline():
+    """As a text between triple quotes does that begins in a line of its own."""
+    env = hrl.make("Gridworld", map="\n  \nS.#\n..G\n")
+    assert env.layout.text == Gridworld(map="S.#\n..G").layout.text
+    assert env.render(env.decode(jnp.int32(1))) == Gridworld(map="S.#\n..G").render(env.decode(jnp.int32(1)))
+    with pytest.raises(MapError, match="map, row 2, column 2: unknown character"):
+        Gridworld(map="\nS.G\n.?.")
+
+
 def test_maps_have_names():
     assert hrl.make("Gridworld", map="four_rooms") == Gridworld() == Gridworld(map=FOUR_ROOMS)
     assert hrl.make("Gridworld", map="cliff") == Gridworld(map=CLIFF) != Gridworld()

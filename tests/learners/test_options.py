@@ -254,8 +254,9 @@ BAD = {
     "option 'bad' takes action 4 in state 0; actions are 0 to 3": second("policy", 4),
     "option 'bad' can be initiated in no state": second("initiation", False),
     "option 'bad' terminates in every state in which it can be initiated": second("termination", True),
-    r"policy must be int32 of shape \[options, states\], with 2 options, got float64": {"policy": np.zeros((2, 24))},
-    "termination must be bool of shape .* with 2 options, got bool of shape": {"termination": np.ones((3, 24), bool)},
+    r"termination must be bools of shape \(2, any\), got shape \(3, 24\)": {"termination": np.ones((3, 24), bool)},
+    "policy must be numbers of actions, got 1099511627776 to 1099511627776": {"policy": np.full((2, 24), 2**40)},
+    "primitives must be one of False, True, got 'some'": {"primitives": "some"},
     "policy, termination and initiation must have one shape": {"initiation": np.ones((2, 23), bool)},
     "the name 'one' is used 2 times": {"names": ("one", "one")},
     "the name 'north' is used 2 times": {"names": ("one", "north")},
@@ -266,6 +267,19 @@ BAD = {
 def test_bad_options_are_named(message: str):
     with pytest.raises(ValueError, match=message):
         Options(**{**GOOD, **BAD[message]})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"policy": np.zeros((2, 24))}, r"policy must be integers of shape \(2, any\), got float64"),
+        ({"termination": np.ones((2, 24), int)}, r"termination must be bools of shape \(2, any\), got int64"),
+        ({"names": "ab"}, "names must be a sequence of names, got 'ab'"),
+    ],
+)
+def test_options_of_the_wrong_type_are_named(wrong: dict, message: str):
+    with pytest.raises(TypeError, match=message):
+        Options(**{**GOOD, **wrong})
 
 
 def test_options_that_do_not_fit_the_environment():
@@ -287,5 +301,22 @@ def test_bad_arguments_are_named():
         options_from(alone, GRID)
     with pytest.raises(TypeError, match="OptionQ: options must be Options"):
         OptionQ(alone)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="OptionQ: update must be 'smdp' or 'intra_option', got 'q'"):
+    for call, error, message in (
+        (lambda: primitive_options(5), TypeError, "env must be a tabular environment such as .*got 5"),
+        (lambda: options_from(taxi.hierarchy(), 5), TypeError, "env must be a tabular environment such as .*got 5"),
+        (
+            lambda: options_from(taxi.hierarchy(), taxi, "Get"),
+            TypeError,
+            "names must be a sequence of names, got 'Get'",
+        ),
+        (
+            lambda: options_from(taxi.hierarchy(), taxi, pseudo_reward=np.nan),
+            ValueError,
+            "pseudo_reward must be .*got nan",
+        ),
+        (lambda: options_from(GRID.hierarchy(), GRID, discount=2), ValueError, r"discount must be .*\[0, 1\], got 2"),
+    ):
+        with pytest.raises(error, match=message):
+            call()
+    with pytest.raises(ValueError, match="OptionQ: update must be one of 'smdp', 'intra_option', got 'q'"):
         OptionQ(random_options(True), update="q")  # type: ignore[arg-type]

@@ -1,5 +1,6 @@
 """Exact solvers: against each other, against values by hand, and on the Bus against figures found elsewhere."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from hrljax.envs.bus import Bus, BusParams
 from hrljax.envs.bus_map import KAO_V1
+from hrljax.envs.maze import Maze
 from hrljax.solvers import dynamic_programming as dp
 from hrljax.solvers.model import Model
 
@@ -222,16 +224,106 @@ def test_a_dense_model_ends_where_its_rows_lack_probability():
 @pytest.mark.parametrize(
     ("transition", "reward", "message"),
     [
-        (np.ones((2, 2)), np.ones((2, 2)), r"transition must have shape \[S, A, S\], got \(2, 2\)"),
+        (
+            np.ones((2, 2)),
+            np.ones((2, 2)),
+            r"transition must be probabilities of shape \(any, any, any\), got shape \(2, 2\)",
+        ),
         (np.zeros((2, 1, 3)), np.ones((2, 1)), r"transition must have shape \[S, A, S\], got \(2, 1, 3\)"),
         (np.zeros((2, 1, 2)), np.ones(2), r"reward must have shape \[S, A\] or \[S, A, S\].*got \(2,\)"),
         (np.full((2, 1, 2), 0.6), np.ones((2, 1)), "rows that sum to at most one"),
         (np.array([[[-0.1, 0.5]], [[0, 1]]]), np.ones((2, 1)), "non-negative rows"),
+        (np.zeros((2, 1, 2)), np.full((2, 1), np.nan), "reward must be finite"),
     ],
 )
 def test_bad_dense_models_are_refused(transition: np.ndarray, reward: np.ndarray, message: str):
     with pytest.raises(ValueError, match=message):
         Model.from_dense(transition, reward)
+
+
+TWO_STATES = Model.from_dense(np.array([[[0.25, 0.5], [0, 1]], [[0, 0], [0.1, 0.9]]]), np.ones((2, 2)))
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: dp.value_iteration(TWO_STATES, 2), ValueError, r"discount must be a finite number in \[0, 1\], got 2"),
+        (lambda: dp.value_iteration(TWO_STATES, "1"), TypeError, "discount must be a number, got '1'"),
+        (lambda: dp.value_iteration(TWO_STATES, np.ones(2)), TypeError, "discount must be a number, got array"),
+        (
+            lambda: dp.value_iteration(TWO_STATES, tolerance=-1),
+            ValueError,
+            r"tolerance must be .*\[0, 3.4e\+38\], got -1",
+        ),
+        (lambda: dp.value_iteration(TWO_STATES, epsilon=np.nan), ValueError, r"epsilon must be .*\[0, 1\], got nan"),
+        (
+            lambda: dp.value_iteration(TWO_STATES, max_sweeps=0),
+            ValueError,
+            "max_sweeps must be an integer from 1 to .*got 0",
+        ),
+        (lambda: dp.value_iteration(Maze()), TypeError, r"model must be a hrljax.solvers.Model such as .*got Maze\(\)"),
+        (lambda: dp.policy_iteration(TWO_STATES, -0.5), ValueError, r"discount must be .*\[0, 1\], got -0.5"),
+        (
+            lambda: dp.policy_iteration(TWO_STATES, max_improvements=1.5),
+            TypeError,
+            "max_improvements must be .*got 1.5",
+        ),
+        (
+            lambda: dp.policy_evaluation(TWO_STATES, [0, 9]),
+            ValueError,
+            "policy must have actions from 0 to 1, got 0 to 9",
+        ),
+        (
+            lambda: dp.policy_evaluation(TWO_STATES, [0, -1]),
+            ValueError,
+            "policy must have actions from 0 to 1, got -1 to 0",
+        ),
+        (
+            lambda: dp.policy_evaluation(TWO_STATES, [0.0, 1.0]),
+            TypeError,
+            r"policy must be integers of shape \(2,\), got",
+        ),
+        (
+            lambda: dp.policy_evaluation(TWO_STATES, [0]),
+            ValueError,
+            r"actions of shape \(2,\) or .* \(2, 2\), got shape \(1,",
+        ),
+        (
+            lambda: dp.policy_evaluation(TWO_STATES, np.ones((2, 2))),
+            ValueError,
+            "policy must have rows of probabilities that",
+        ),
+        (
+            lambda: dp.policy_evaluation(TWO_STATES, [0, 0], horizon=2**31),
+            ValueError,
+            "horizon must be .*got 2147483648",
+        ),
+        (
+            lambda: dp.action_values(TWO_STATES, np.zeros(3)),
+            ValueError,
+            r"value must be numbers of shape \(2,\), got shape",
+        ),
+    ],
+)
+def test_bad_arguments_of_solvers_are_refused(call: Callable[[], object], error: type[Exception], message: str):
+    with pytest.raises(error, match=message):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"next_state": TWO_STATES.next_state + 1}, ValueError, "next states must be from 0 to 1"),
+        ({"next_state": TWO_STATES.next_state * 1.0}, TypeError, "next_state must be integers, got float64"),
+        ({"terminated": TWO_STATES.terminated * 1}, TypeError, "terminated must be bools, got int64"),
+        ({"probability": TWO_STATES.probability * 2}, ValueError, "probability must have rows that .*sum to one"),
+        ({"reward": TWO_STATES.reward * np.nan}, ValueError, "rewards must be finite"),
+        ({"reward": np.zeros(3)}, ValueError, r"the arrays of a model must have one shape \[S, A, K\], got"),
+    ],
+)
+def test_bad_models_are_refused(change: dict[str, np.ndarray], error: type[Exception], message: str):
+    with pytest.raises(error, match=message):
+        dp.value_iteration(TWO_STATES._replace(**change))
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -1,6 +1,7 @@
 """Hierarchical solvers: published figures of Maze, Taxi and Bus, and random problems against brute force."""
 
 import itertools
+import re
 from typing import NamedTuple
 
 import jax
@@ -20,6 +21,7 @@ from hrljax.learners.task_graph import task_graph
 from hrljax.learners.task_tables import tabulate
 from hrljax.solvers import (
     Model,
+    NoBestPolicyError,
     Optima,
     decompose,
     greedy,
@@ -296,6 +298,87 @@ def test_a_policy_that_never_ends_has_no_value_without_discounting():
         decompose(process, process.weights(staying))
     discounted = joint_process(hierarchy, tables.active, model, discount=0.5)
     np.testing.assert_array_equal(decompose(discounted, discounted.weights(staying)).value, 0)
+
+
+def two_rooms_with_a_dear_exit() -> tuple[Hierarchy, Tables, Model]:
+    """Rooms 0 and 1, and the outside, 2. A subtask a room ends with the room: next door for 1, outside for 5."""
+    hierarchy = Hierarchy(
+        ("next door", "outside"),
+        [
+            Subtask("Root", ("Left", "Right"), lambda state: state == 2),
+            *(Subtask(name, ("next door", "outside"), lambda state: state == 2) for name in ("Left", "Right")),
+        ],
+    )
+    active = np.array([[True, True, False], [True, False, False], [False, True, False]])
+    goal = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 1]], np.float32)
+    shape = 3, 2, 1
+    next_state = np.array([[1, 2], [0, 2], [2, 2]]).reshape(shape)
+    reward = np.array([[-1.0, -5.0], [-1.0, -5.0], [0.0, 0.0]]).reshape(shape)
+    return hierarchy, Tables(active, goal), Model(next_state, np.ones(shape), reward, next_state == 2)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_where_no_recursively_optimal_policy_exists_the_other_two_do(method):
+    """Each subtask takes the cheap door, and both send one back to each other for ever."""
+    problem = *two_rooms_with_a_dear_exit(), np.array([0.5, 0.5, 0.0])
+    why = r"with discount 1 the episode must be able to end: it cannot from subtask 'Root' in state 0"
+    with pytest.warns(RuntimeWarning, match=f"no recursively optimal policy with a pseudo-reward of 0: {why}"):
+        found = solve_hierarchy(*problem, method=method)
+    assert (found.optimal.mean, found.hierarchical.mean) == (-5, -5)
+    assert np.isnan(found.recursive.mean)
+    assert np.isnan(found.recursive.value).all()
+    assert found.recursive.value.shape == found.optimal.value.shape
+    assert found.recursive.policy.shape == found.hierarchical.policy.shape
+    assert (found.recursive.policy == -1).all()
+    assert (found.recursive.action == -1).all()
+    assert re.fullmatch(why, str(found.recursive.why_missing))
+    with pytest.raises(NoBestPolicyError, match=why):
+        recursively_optimal(*problem[:3], method=method)
+    for options in ({"pseudo_reward": 10.0}, {"discount": 0.5}):
+        there = solve_hierarchy(*problem, method=method, **options)
+        assert there.recursive.why_missing is None
+        assert np.isfinite(there.recursive.mean)
+    assert solve_hierarchy(*problem, method=method, pseudo_reward=10.0).recursive.mean == -5
+
+
+def test_a_policy_that_earns_for_ever_is_told_of():
+    hierarchy, tables, model = two_rooms_with_a_dear_exit()
+    with pytest.raises(NoBestPolicyError, match="a policy that never ends earns more than any that does"):
+        solve_hierarchy(hierarchy, tables, model._replace(reward=model.reward + 3), np.array([1.0, 0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (
+            {"initial": np.array([1.0, 1, 0])},
+            ValueError,
+            "initial must have no negative entry and sum to one, got a sum of 2",
+        ),
+        ({"initial": np.ones(1)}, ValueError, r"initial must be probabilities of shape \(3,\), got shape \(1,\)"),
+        ({"pseudo_reward": None}, TypeError, "pseudo_reward must be a number, got None"),
+        ({"pseudo_reward": np.inf}, ValueError, "pseudo_reward must be a finite number in .*, got inf"),
+        ({"discount": "1"}, TypeError, "discount must be a number, got '1'"),
+        (
+            {"tasks": np.ones((3, 3), bool)},
+            TypeError,
+            "tasks must be a hierarchy's predicates at every state, .*got array",
+        ),
+        ({"model": Maze()}, TypeError, r"model must be a hrljax.solvers.Model such as env.model\(\), got Maze\(\)"),
+        ({"hierarchy": "Maze"}, TypeError, r"hierarchy must be a Hierarchy such as env.hierarchy\(\), got 'Maze'"),
+    ],
+)
+def test_bad_arguments_of_a_solution_are_refused(change: dict, error: type[Exception], message: str):
+    hierarchy, tables, model = two_rooms_with_a_dear_exit()
+    arguments = {"hierarchy": hierarchy, "tasks": tables, "model": model, "initial": np.array([1.0, 0, 0])} | change
+    with pytest.raises(error, match=message):
+        solve_hierarchy(**arguments)
+
+
+def test_a_discount_that_is_traced_is_refused_without_showing_the_tracer():
+    hierarchy, tables, model = two_rooms_with_a_dear_exit()
+    with pytest.raises(TypeError, match=r"discount must be a number, got a traced float32\[\]"):
+        jax.eval_shape(lambda x: joint_process(hierarchy, tables.active, model, discount=x).reward, 0.5)
 
 
 def test_too_few_sweeps_are_an_error_that_says_where():
