@@ -85,3 +85,14 @@ def test_a_block_is_found_with_its_place(tmp_path: Path):
     document.write_text("text\n```python\nx = 1\n```\n```sh\npython x\n```\n```python\nraise ValueError(x)\n```\n")
     first, second = blocks(document, "python")
     assert (first, second) == ("\n\nx = 1\n", "\n" * 8 + "raise ValueError(x)\n")
+
+
+def test_docstrings_name_sections_that_exist():
+    """Modules point to sections of documents by their titles: docs/page.md, "Title"."""
+    named = set()
+    for module in (ROOT / "hrljax").rglob("*.py"):
+        named |= set(re.findall(r'(docs/\w+\.md), "([^"]+)"', module.read_text()))
+    assert len(named) >= 6
+    for document, title in named:
+        titles = re.findall(r"^#+ (?:\d+\. )?(.+)$", (ROOT / document).read_text(), re.M)
+        assert title in titles, (document, title)
