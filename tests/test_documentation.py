@@ -1,5 +1,6 @@
 """Every example of the documentation runs, block after block, with fewer seeds and episodes than it says."""
 
+import importlib
 import re
 import shutil
 from collections.abc import Callable
@@ -85,3 +86,63 @@ def test_a_block_is_found_with_its_place(tmp_path: Path):
     document.write_text("text\n```python\nx = 1\n```\n```sh\npython x\n```\n```python\nraise ValueError(x)\n```\n")
     first, second = blocks(document, "python")
     assert (first, second) == ("\n\nx = 1\n", "\n" * 8 + "raise ValueError(x)\n")
+
+
+def test_docstrings_name_sections_that_exist():
+    """Modules point to sections of documents by their titles: docs/page.md, "Title"."""
+    named = set()
+    for module in (ROOT / "hrljax").rglob("*.py"):
+        named |= set(re.findall(r'(docs/\w+\.md), "([^"]+)"', module.read_text()))
+    assert len(named) >= 6
+    for document, title in named:
+        titles = re.findall(r"^#+ (?:\d+\. )?(.+)$", (ROOT / document).read_text(), re.M)
+        assert title in titles, (document, title)
+
+
+EQUATIONS = ROOT / "docs" / "equations.md"
+
+
+def rows_of_tables(document: Path) -> list[list[str]]:
+    """The cells of every row, headings aside, of tables with four columns."""
+    lines = [line for line in document.read_text().splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    heads = {i for i in range(len(cells) - 1) if set("".join(cells[i + 1])) == {"-"}}
+    return [row for i, row in enumerate(cells) if len(row) == 4 and not {i, i - 1} & heads]
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name leads to something."""
+    thing, path = hrljax, "hrljax"
+    for part in name.split(".")[1:]:
+        path += f".{part}"
+        try:
+            thing = getattr(thing, part) if hasattr(thing, part) else importlib.import_module(path)
+        except ImportError:
+            return False
+    return True
+
+
+def test_equations_name_code_and_tests_that_exist():
+    rows = rows_of_tables(EQUATIONS)
+    assert len(rows) > 60
+    for equation, _, code, tests in rows:
+        names = re.findall(r"`(hrl(?:jax)?\.[\w.]+)`", code)
+        assert names, equation
+        assert not [name for name in names if not exists(name)], equation
+        places = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", tests)
+        assert places, equation
+        for file, test in places:
+            assert re.search(rf"^def {test}", (ROOT / file).read_text(), re.M), (equation, file, test)
+
+
+def test_every_numbered_equation_of_the_thesis_is_there():
+    """2.1 to 2.23, 3.1 to 3.12, 4.1 to 4.4, eight definitions and three theorems."""
+    text = EQUATIONS.read_text().split("## MAXQ (Dietterich")[0]
+    labels = [line.split("|")[1] for line in text.splitlines() if line.startswith("|")]
+    named: set[str] = set()
+    for chapter, first, _, last in re.findall(r"\b([234])\.(\d+)(?: to ([234])\.(\d+))?", " ".join(labels)):
+        named |= {f"{chapter}.{number}" for number in range(int(first), int(last or first) + 1)}
+    for chapter, count in (("2", 23), ("3", 12), ("4", 4)):
+        assert named >= {f"{chapter}.{number}" for number in range(1, count + 1)}
+    for label in [f"Definition {i}" for i in range(1, 9)] + [f"Theorem {i}" for i in (1, 2, 3)]:
+        assert any(label in text for text in labels), label

@@ -1,4 +1,7 @@
-"""The step of the 2009 competition: five ticks, an observation, a reward (specification 12)."""
+"""The step of the 2009 competition: five ticks, an observation, a reward.
+
+Its rules are in docs/mario_engine.md, "The competition's step".
+"""
 
 from typing import NamedTuple
 

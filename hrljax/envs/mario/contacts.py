@@ -1,4 +1,4 @@
-"""Who meets whom: Mario and the sprites, shells and fireballs and the others (specification 9)."""
+"""Who meets whom: Mario and the sprites, shells and fireballs and the others (docs/mario_engine.md, "Contacts")."""
 
 from typing import NamedTuple
 

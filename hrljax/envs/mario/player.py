@@ -45,7 +45,9 @@ def die(player: Player, condition: Array) -> Player:
 
 
 def steer(player: Player, keys: Array) -> Player:
-    """The first half of an update: what the keys do to velocities and flags (specification 4.3, 1 to 9).
+    """The first half of an update: what the keys do to velocities and flags.
+
+    These are points 1 to 9 of docs/mario_engine.md, "Mario's update".
 
     `can_shoot` is left as it was, see `shoots`.
     """
@@ -140,7 +142,7 @@ def move_vertically(purse: Purse, player: Player, dy: Array) -> Moved:
 
 
 def move(purse: Purse, player: Player) -> Moved:
-    """The second half of an update: moving (specification 4.3, 10)."""
+    """The second half of an update: moving (docs/mario_engine.md, "Mario's update", point 10)."""
     shape = player_shape(player)
     purse, across = move_across(purse, player.x, player.y, player.xa, shape, collects=True)
     blocked = across.blocked
@@ -162,7 +164,7 @@ class Verdict(NamedTuple):
 
 
 def finish(player: Player, keys: Array, exit_column: Array, num_columns: int) -> Verdict:
-    """The end of an update: the borders of the level, decay and gravity (specification 4.3, 11 and 12)."""
+    """The end of an update: borders, decay and gravity (docs/mario_engine.md, "Mario's update", points 11 and 12)."""
     dies = player.y > np.float32(HEIGHT * TILE + TILE)
     outside = player.x < 0
     x = lax.select(outside, jnp.float32(0), player.x)
@@ -231,7 +233,10 @@ def take_item(player: Player, flower: Array, paused: Array) -> tuple[Player, Arr
 
 
 def bounce(purse: Purse, player: Player, top: Array) -> Moved:
-    """Mario jumps off something whose middle is at `top` (specification 4.6)."""
+    """Mario jumps off something whose middle is at `top`.
+
+    See docs/mario_engine.md, "Hurt, power-ups and the bounce".
+    """
     moved = move_vertically(purse, player, top - player.y)
     off = jnp.bool_(False)
     player = moved.player._replace(

@@ -28,7 +28,8 @@ def snap(world: World, quantum: int) -> World:
     """The world with positions and velocities of Mario and the sprites on the lattice.
 
     Mario's ya, which stays positive as long as he stands, is not rounded down to 0 while he is on
-    the ground: 0 would let him leave it for a tick (specification 4.3). The same goes for sprites.
+    the ground: 0 would let him leave it for a tick (docs/mario_engine.md, "Exact arithmetic"). The
+    same goes for sprites.
     """
 
     def body(x: Array, y: Array, xa: Array, ya: Array, on_ground: Array) -> tuple[Array, Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""One tick of the game (specification 3)."""
+"""One tick of the game (docs/mario_engine.md, "The tick")."""
 
 import jax.numpy as jnp
 import numpy as np
