@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hrljax import batch, identity, random
+from hrljax import batch, identity, interrupts, random
 from hrljax.envs.base import concrete_params
 from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
+from hrljax.progress import ticking
 from hrljax.store import Store, attributes_on_disk
 from hrljax.train import bin_sizes, check_arguments, check_count, default_bin_size, metric_names
 from hrljax.work import ENV_PREFIX, Job, learned_shapes, named_leaves
@@ -87,6 +88,8 @@ def sweep(
         runs are NaN and ``complete`` is 0.
 
     Raises:
+        KeyboardInterrupt: before the first runs, or for the second time.
+        RuntimeError: this process was forked after JAX had started.
         TypeError, ValueError: a bad argument, or a store of another sweep; before anything is compiled.
         FileExistsError: there is something else at `store`.
         OSError: the store cannot be written; its finished chunks are intact.
@@ -127,7 +130,10 @@ def sweep(
             disk.mark(complete=not chunks)
         rows = checked.rows()
         started = time.perf_counter()
-        run: Callable[..., Any] = job.sent() if executor is not None else job.compiled(rows, length) if chunks else job
+        run: Callable[..., Any] = job.sent() if executor is not None else job
+        if chunks and executor is None:
+            with ticking(title and f"{title}: compiling"):
+                run = job.compiled(rows, length)
         compiled_at = time.perf_counter()
         results = batch.run_many(
             run,
@@ -177,6 +183,7 @@ class Checked(NamedTuple):
         length = batch.chunk_length(count, cores or batch.usable_cores(), self.mapping, chunk_size)
         return length, batch.chunks_of(count, length)
 
+    @interrupts.postponed()
     def rows(self) -> dict[str, Any]:
         """What tells the runs apart; see `hrljax.work.Job`."""
         labels = self.labels
@@ -199,6 +206,7 @@ class Checked(NamedTuple):
         }
 
 
+@interrupts.postponed()
 def check(
     env: Any,
     learner: Learner,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax import random, tally
+from hrljax import forks, random, tally
 from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment, tabulated
 from hrljax.numerics import opaque_zero
@@ -132,6 +132,7 @@ def check_arguments(
     env: object, learner: object, num_episodes: object, bin_size: object, evaluate_every: object
 ) -> None:
     """Raises for what `train` could not run, naming the argument, the value and what is allowed."""
+    forks.check_not_forked()
     if not isinstance(env, Environment):
         raise TypeError(f"env must be an environment such as hrljax.make('Bus'), got {env!r}")
     if not isinstance(learner, Learner):
