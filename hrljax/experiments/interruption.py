@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
@@ -10,6 +11,8 @@ from typing import Any, TypeVar
 Result = TypeVar("Result")
 
 _NO_RESULT: Any = object()
+_SOON = 0.05
+"""Seconds."""
 
 
 class Interruption:
@@ -59,7 +62,10 @@ class Interruption:
         """An interrupt within a destructor or a callback, where Python drops what is raised: raises it again."""
         if self.signal and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._was_swallowed = True
-            signal.raise_signal(self.signal)
+            # In here it would be dropped again.
+            again = threading.Timer(_SOON, signal.pthread_kill, (threading.main_thread().ident, self.signal))
+            again.daemon = True
+            again.start()
         else:
             self._report(unraisable)
 
