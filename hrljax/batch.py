@@ -7,7 +7,7 @@ depend on the mapping, the chunks, the executor or the number of cores, bit for 
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from itertools import islice
 from typing import Any, Literal, NamedTuple
 
@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from tqdm import tqdm
 
-from hrljax import checks, xla
+from hrljax import checks, interrupts, xla
 
 Mapping = Literal["auto", "native", "vmap"]
 _MAX_CHUNK = {"native": 16, "vmap": 256}
@@ -112,7 +112,8 @@ def run_many(
     """Runs every row.
 
     All chunks are computed in one length, so that one compilation serves all. A keyboard interrupt
-    ends the work after the chunks that are running and returns what is finished; a second one raises.
+    ends the work after the chunks that are running and returns what is finished; a second one raises
+    at once, and what is running goes on to its end unseen.
 
     Args:
         run: what `compile_mapped` returned; with an executor, a picklable function of the rows of a
@@ -137,9 +138,11 @@ def run_many(
     length = chunk_length(num_rows, at_once, mapping, chunk_size)
     collected = collected or Collected(num_rows)
 
-    def submit(pool: Executor, chunk: range) -> Future[Any]:
+    def submit(chunk: range) -> Future[Any]:
         own = jax.tree.map(lambda a: a[chunk.start : chunk.stop], rows)
-        return pool.submit(run_chunk, run, own, length) if executor is None else pool.submit(run, own, length)
+        if executor is None:
+            return interrupts.start(run_chunk, run, own, length)
+        return executor.submit(run, own, length)
 
     with tqdm(
         total=num_rows,
@@ -157,11 +160,7 @@ def run_many(
             bar.update(len(chunk))
 
         todo = chunks_of(num_rows, length) if chunks is None else chunks
-        if executor is not None:
-            _in_parallel(lambda chunk: submit(executor, chunk), todo, at_once, consume, queued=True)
-        else:
-            with ThreadPoolExecutor(at_once) as pool:
-                _in_parallel(lambda chunk: submit(pool, chunk), todo, at_once, consume, queued=False)
+        _in_parallel(submit, todo, at_once, consume, queued=executor is not None)
     if collected.values is None:
         raise KeyboardInterrupt
     return Results(collected.values, collected.finished)
@@ -192,7 +191,7 @@ def _in_parallel(
     """Consumes results as they come, with at most `at_once` submitted; stops early on a keyboard interrupt.
 
     An interrupt within `consume` makes it start again. `queued` says that what is submitted may not
-    have begun; then it is cancelled by an interrupt.
+    have begun; then it is cancelled by an interrupt. After an error what has begun is waited for.
     """
     waiting = iter(chunks)
     running = {submit(chunk): chunk for chunk in islice(waiting, at_once)}
@@ -216,6 +215,10 @@ def _in_parallel(
                 interrupted = True
                 for future in running if queued else ():
                     future.cancel()
+    except Exception:
+        if not queued:
+            wait(running)
+        raise
     finally:
         for future in running:
             future.cancel()

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from hrljax import batch, checks
+from hrljax import batch, checks, interrupts
 from hrljax.learners.base import Learner
 from hrljax.start import learned_shapes
 from hrljax.sweep import Checked, check
@@ -153,7 +153,7 @@ class _Measured:
         values, seconds = {}, []
         for _ in range(_ROUNDS):
             started = time.perf_counter()
-            values = job(self.rows, self.count)
+            values = interrupts.start(job, self.rows, self.count).result()
             seconds.append(time.perf_counter() - started)
         return compile_seconds, statistics.median(seconds), values
 

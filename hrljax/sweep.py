@@ -19,12 +19,13 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax import batch, checks, identity, random
+from hrljax import batch, checks, identity, interrupts, random
 from hrljax.continuation import Continuation, continuation
 from hrljax.envs.base import concrete_params, numbers_of
 from hrljax.envs.checks import check_before_training
 from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
+from hrljax.progress import ticking
 from hrljax.start import Startable, learned_shapes, named_leaves
 from hrljax.store import Store, attributes_on_disk
 from hrljax.train import bin_sizes, check_arguments, default_bin_size, metric_names
@@ -98,6 +99,8 @@ def sweep(
         ``complete`` is 0.
 
     Raises:
+        KeyboardInterrupt: before the first runs, or for the second time.
+        RuntimeError: this process was forked after JAX had started.
         TypeError, ValueError: a bad argument, an environment that is not as `hrljax.check` wants it, or a
             store of another sweep; before anything is compiled.
         FileExistsError: there is something else at `store`.
@@ -141,7 +144,10 @@ def sweep(
             disk.mark(complete=not chunks)
         rows = checked.rows()
         started = time.perf_counter()
-        run: Callable[..., Any] = job.sent() if executor is not None else job.compiled(rows, length) if chunks else job
+        run: Callable[..., Any] = job.sent() if executor is not None else job
+        if chunks and executor is None:
+            with ticking(title and f"{title}: compiling"):
+                run = job.compiled(rows, length)
         compiled_at = time.perf_counter()
         results = batch.run_many(
             run,
@@ -192,6 +198,7 @@ class Checked(NamedTuple):
         length = batch.chunk_length(count, cores or batch.usable_cores(), self.mapping, chunk_size)
         return length, batch.chunks_of(count, length)
 
+    @interrupts.postponed()
     def rows(self) -> dict[str, Any]:
         """What tells the runs apart; see `hrljax.work.Job`."""
         labels = self.labels
@@ -216,6 +223,7 @@ class Checked(NamedTuple):
         }
 
 
+@interrupts.postponed()
 def check(
     env: Any,
     learner: Learner,

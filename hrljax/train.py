@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax import checks, random, tally
+from hrljax import checks, forks, random, tally
 from hrljax.counting import Count, Total, count, total
 from hrljax.envs import contract
 from hrljax.envs.base import Environment, TabularEnvironment, numbers_of
@@ -177,6 +177,7 @@ def check_arguments(
     Returns:
         `num_episodes`, `bin_size` and `evaluate_every` as plain integers, or None where they were None.
     """
+    forks.check_not_forked()
     env = checks.instance("env", env, Environment, "an environment such as hrljax.make('Bus')")
     learner = checks.instance("learner", learner, Learner, "a learner such as hrljax.QLearning()")
     check_declarations(env)

@@ -4,6 +4,7 @@ import dataclasses
 import pickle
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +12,7 @@ import cloudpickle
 import jax
 import numpy as np
 
-from hrljax import batch
+from hrljax import batch, forks, interrupts
 from hrljax.learners.base import Learner
 from hrljax.start import Start, named_leaves, steps_of
 from hrljax.train import train
@@ -35,7 +36,11 @@ class Job:
     """Episodes that runs have learned from before they start."""
 
     def compiled(self, rows: Any, length: int) -> Callable[[Any], Any]:
-        """The compiled function of a chunk of `length` rows like `rows`; compiled once per process."""
+        """The compiled function of a chunk of `length` rows like `rows`; compiled once per process.
+
+        A keyboard interrupt in the meantime ends the call, and the compilation goes on: the next call waits for it.
+        """
+        forks.check_not_forked()
         shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct((length, *a.shape[1:]), a.dtype), rows)
         mapping = batch.resolve_mapping(self.mapping)
         job = dataclasses.replace(self, mapping=mapping)
@@ -124,16 +129,19 @@ def _compiler(frozen: _Frozen) -> Callable[[Any], Callable[[Any], Any]]:
         return values | (dict(named_leaves(result.learned)) if job.keep_learned else {})
 
     jitted: Any = batch.compile_mapped(run, job.mapping, job.env.has_loops)  # type: ignore[arg-type]
-    by_shape: dict[str, Any] = {}
+    by_shape: dict[str, Future[Any]] = {}
     lock = threading.Lock()
 
     def for_shapes(shapes: Any) -> Any:
         signature = str(jax.tree.map(lambda s: (s.shape, s.dtype), shapes))
         with lock:
-            if signature not in by_shape:
-                compiled = jitted.lower(shapes).compile()
-                by_shape[signature] = lambda rows: _on_host(compiled(rows))
-        return by_shape[signature]
+            future = by_shape.get(signature)
+            if future is None or (future.done() and future.exception()):
+                with interrupts.postponed():
+                    lowered = jitted.lower(shapes)  # in this thread: some of JAX's settings belong to one
+                future = by_shape[signature] = interrupts.start(lowered.compile)
+        compiled = future.result()
+        return lambda rows: _on_host(compiled(rows))
 
     return for_shapes
 

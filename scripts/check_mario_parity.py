@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import interruptible  # noqa: F401
+
 from hrljax.envs.mario import drift, parity, recordings
 from hrljax.envs.mario.quantum import check_quantum
 from hrljax.experiments import program
@@ -55,12 +57,14 @@ def main(options: Options) -> int:
     checks = [("levels", parity.check_levels, options.levels)]
     checks += [("ticks", parity.check_trajectories, options.trajectories)]
     checks += [("steps", parity.check_episodes, options.rl_steps)]
-    same = [report(unit, check, path) for unit, check, paths in checks for path in paths]
+    reports = (report(unit, check, path) for unit, check, paths in checks for path in paths)
+    same = list(program.until_interrupted(reports))
     for path in options.trajectories if options.quantum else ():
         games = recordings.read_trajectories(path)
+        rows = program.until_interrupted(drift.drift(games, quantum) for quantum in options.quantum)
         print(f"{path}: games on a lattice of 1 / quantum pixels against the recordings")
-        print(drift.table(drift.drift(games, quantum) for quantum in options.quantum))
-    return 0 if all(same) else 1
+        print(drift.table(rows))
+    return program.ended(status=0 if all(same) else 1)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import interruptible  # noqa: F401
+
 from hrljax import results
 from hrljax.batch import Mapping
 from hrljax.experiments import figure_4_2, program
@@ -39,12 +41,12 @@ def main(options: Options) -> int:
     program.check_counts(options, "seeds", "episodes")
     options.out.mkdir(parents=True, exist_ok=True)
     exact = figure_4_2.exact()
-    finished, rows, complete = [], [], True
-    for curve, dataset in figure_4_2.run(options.seeds, options.episodes, options.cores, options.mapping, options.key):
+    finished, rows = [], []
+    curves = figure_4_2.run(options.seeds, options.episodes, options.cores, options.mapping, options.key)
+    for curve, dataset in program.until_interrupted(curves):
         finished.append((curve, dataset))
         rows.append(figure_4_2.summary_row(curve, dataset))
         results.save(dataset, options.out / "curves" / f"{len(rows):02d}.zarr")
-        complete = bool(dataset.attrs["complete"])
         row = rows[-1]
         print(f"{row['name']:>36} {row['mean_return']:8.2f}  {row['seconds']:6.1f} s", file=sys.stderr, flush=True)
     program.write_summary(options.out, {"exact": exact, "curves": rows})
@@ -54,7 +56,7 @@ def main(options: Options) -> int:
     figure_4_2.picture(finished, exact).savefig(options.out / "figure_4_2.png", dpi=110)
     print(figure_4_2.table(rows))
     print(f"\noptimum {exact['optimal']['mean']:.2f}, best epsilon-soft policy {exact['epsilon_soft']:.2f}")
-    return program.ended(options.out, complete)
+    return program.ended(options.out)
 
 
 if __name__ == "__main__":

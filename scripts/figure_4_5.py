@@ -4,6 +4,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import interruptible  # noqa: F401
+
 from hrljax import results
 from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.rows import curves_csv
@@ -35,7 +37,9 @@ def main(options: Options) -> int:
         if name not in names:
             raise ValueError(f"--methods must be among {', '.join(names)}, got {name!r}")
     stores = {name: options.runs / "curves" / f"{names.index(name):02d}.zarr" for name in options.methods}
-    curves = {name: results.load(store) for name, store in stores.items()}
+    curves = dict(program.until_interrupted((name, results.load(store)) for name, store in stores.items()))
+    if not curves:
+        return program.ended(options.out)
     options.out.mkdir(parents=True, exist_ok=True)
     mario_hybrid.distance_picture(curves).savefig(options.out / "figure_4_5.png", dpi=110)
     (options.out / "figure_4_5.csv").write_text(curves_csv(("", name, curve) for name, curve in curves.items()))

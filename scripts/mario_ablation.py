@@ -1,8 +1,9 @@
 """What moves Model+HORDQ with the learned model: each detail that the thesis leaves open, changed alone; a table."""
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+import interruptible  # noqa: F401
 
 from hrljax.experiments import mario_ablation, program
 
@@ -39,16 +40,13 @@ def main(options: Options) -> int:
         names, options.seeds, options.episodes, options.pseudo_reward, cores=options.cores, key=options.key
     )
     found = []
-    for row in rows:
+    for row in program.until_interrupted(rows):
         found.append(row)
         program.write_summary(options.out, found)
         print(f"{row['name']:30}{row['finished']['mean']:8.1f}{row['distance']['mean']:8.1f}", flush=True)
-    print("\n" + mario_ablation.table(found))
-    print(f"\nwritten to {options.out}")
-    complete = len(found) == len(names) and found[-1]["seeds"] == options.seeds
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+    if found:
+        print("\n" + mario_ablation.table(found))
+    return program.ended(options.out)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import interruptible  # noqa: F401
+
 from hrljax.experiments import mario_generalisation, mario_hybrid, program
 
 
@@ -39,27 +41,24 @@ def main(options: Options) -> int:
         mario_generalisation.PLAYED_FROM,
     )
     found: list[dict] = []
-    complete = True
-    try:
-        for row in mario_generalisation.rows(
-            mario_generalisation.TRAINED_ON,
-            played,
-            mario_hybrid.BEST,
-            options.seeds,
-            options.episodes,
-            options.cores,
-            options.key,
-            report=lambda name: print(f"trained on {name} ...", flush=True),
-        ):
-            found.append(row)
-            program.write_summary(options.out, found)
-    except KeyboardInterrupt:
-        complete = False
+    rows = mario_generalisation.rows(
+        mario_generalisation.TRAINED_ON,
+        played,
+        mario_hybrid.BEST,
+        options.seeds,
+        options.episodes,
+        options.cores,
+        options.key,
+        report=lambda name: print(f"trained on {name} ...", flush=True),
+    )
+    for of_set in program.until_interrupted(rows):
+        found += of_set
+        program.write_summary(options.out, found)
     if found:
         print(mario_generalisation.table(found))
         print("\n" + mario_generalisation.table(found, "distance"))
         mario_generalisation.picture(found).savefig(options.out / "generalisation.png", dpi=110)
-    return program.ended(options.out, complete)
+    return program.ended(options.out)
 
 
 if __name__ == "__main__":

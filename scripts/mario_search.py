@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import interruptible  # noqa: F401
+
 from hrljax import checks
 from hrljax.experiments import mario_search, program
 
@@ -31,9 +33,10 @@ def main(options: Options) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     done = []
     print(mario_search.table_head(), flush=True)
-    for row in mario_search.rows(mario_search.settings(options.more_nodes), cores=options.cores):
-        done.append(row)
-        print(mario_search.table_line(row), flush=True)
+    rows = mario_search.rows(mario_search.settings(options.more_nodes), cores=options.cores)
+    for of_sweep in program.until_interrupted(rows):
+        done += of_sweep
+        print(*map(mario_search.table_line, of_sweep), sep="\n", flush=True)
         program.write_summary(options.out, done)
     return program.ended(options.out)
 

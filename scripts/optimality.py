@@ -4,6 +4,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import interruptible  # noqa: F401
+
 from hrljax import checks
 from hrljax.experiments import optimality, program
 from hrljax.experiments.rows import curves_csv
@@ -42,28 +44,26 @@ def main(options: Options) -> int:
         if name not in known:
             raise ValueError(f"--domains must be among {', '.join(known)}, got {name!r}")
     options.out.mkdir(parents=True, exist_ok=True)
-    exact_rows, rows, curves, complete = [], [], [], True
-    optimality.graph_picture().savefig(options.out / "task_graph.png", dpi=110)
-    for domain in (known[name] for name in options.domains):
-        optima = optimality.exact(domain)
+    exact_rows, rows, curves = [], [], []
+    exact = ((known[name], optimality.exact(known[name])) for name in options.domains)
+    for domain, optima in program.until_interrupted(exact):
         exact_rows.append(optimality.exact_row(domain, optima))
         if domain.name == "Maze":
             optimality.maze_picture(optima).savefig(options.out / "maze.png", dpi=110)
         found = {}
-        for name, dataset in optimality.run(domain, options.seeds, options.scale, options.cores, options.key):
+        runs = optimality.run(domain, options.seeds, options.scale, options.cores, options.key)
+        for name, dataset in program.until_interrupted(runs):
             found[name] = dataset
             curves.append((domain.name, name, dataset))
             rows.append(optimality.summary_row(domain, name, dataset))
             print(f"{domain.name}: {name:26} {rows[-1]['seconds']:6.1f} s", file=sys.stderr, flush=True)
-            complete = complete and bool(dataset.attrs["complete"])
-        if domain.name == "Taxi":
+        if domain.name == "Taxi" and found:
             optimality.taxi_picture(found, optima.optimal.mean).savefig(options.out / "taxi.png", dpi=110)
-        if not complete:
-            break
+    optimality.graph_picture().savefig(options.out / "task_graph.png", dpi=110)
     program.write_summary(options.out, {"exact": exact_rows, "reached": rows})
     (options.out / "optimality.csv").write_text(curves_csv(curves))
     print(optimality.table(exact_rows, rows))
-    return program.ended(options.out, complete)
+    return program.ended(options.out)
 
 
 if __name__ == "__main__":

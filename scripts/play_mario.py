@@ -2,16 +2,18 @@
 
 import csv
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import interruptible  # noqa: F401
 import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
 from hrljax.envs.mario import play, render
-from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.env import Mario, MarioParams
 from hrljax.envs.mario.recordings import LevelId
 from hrljax.envs.mario.tiles import TILE
 from hrljax.experiments import program
@@ -63,36 +65,46 @@ def main(options: Options) -> int:
     env, level_id, policy = _game(options)
     params = env.default_params._replace(max_steps=options.max_steps)
     options.out.mkdir(parents=True, exist_ok=True)
+    for steps, worlds in program.until_interrupted(_played(env, policy, params)):
+        with (options.out / "steps.csv").open("w", newline="") as file:
+            csv.writer(file).writerows([play.COLUMNS, *play.table(steps)])
+        shown = [*worlds[:: options.ticks_per_frame], steps[-1].episode.world]
+        track = np.array([(world.player.x, world.player.y) for world in worlds])
+        Image.fromarray(render.level_strip(env.level_list[0], 16, 100, track)).save(options.out / "level.png")
+        last = steps[-1].episode.world
+        summary = {
+            "policy": options.policy,
+            "level": str(options.level) if options.level else level_id._asdict(),
+            "steps": len(steps),
+            "return": sum(step.reward for step in steps),
+            "won": steps[-1].terminated and int(last.player.win_time) > 0,
+            "distance": float(track[:, 0].max() / TILE - 2),
+            "coins": int(last.coins),
+            "kills": int(last.kills),
+            "frames": len(shown),
+        }
+        program.write_summary(options.out, summary)
+        for frames in program.until_interrupted(_frames(env, shown, options.tile_pixels)):
+            render.save_gif(frames, options.out / "game.gif", 24 / options.ticks_per_frame)
+        for name, value in summary.items():
+            print(f"{name:>10}  {f'{value:.2f}' if isinstance(value, float) else value}")
+    return program.ended(options.out)
+
+
+def _played(env: Mario, policy: play.Policy, params: MarioParams) -> Iterator[tuple[list[play.Step], list[Any]]]:
+    """The steps of the one game, and Mario's world in every tick."""
     steps, worlds = [], []
     for step in tqdm(play.play(env, policy, params), unit="step", file=sys.stderr):
         steps.append(step._replace(worlds=[]))
         worlds += step.worlds
     if not steps:
         raise ValueError("nothing was played: there are no recorded actions")
+    yield steps, worlds
 
-    with (options.out / "steps.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([play.COLUMNS, *play.table(steps)])
-    shown = [*worlds[:: options.ticks_per_frame], steps[-1].episode.world]
-    frames = (render.screen(env.course, world, options.tile_pixels) for world in tqdm(shown, "film", file=sys.stderr))
-    render.save_gif(frames, options.out / "game.gif", 24 / options.ticks_per_frame)
-    track = np.array([(world.player.x, world.player.y) for world in worlds])
-    Image.fromarray(render.level_strip(env.level_list[0], 16, 100, track)).save(options.out / "level.png")
-    last = steps[-1].episode.world
-    summary = {
-        "policy": options.policy,
-        "level": str(options.level) if options.level else level_id._asdict(),
-        "steps": len(steps),
-        "return": sum(step.reward for step in steps),
-        "won": steps[-1].terminated and int(last.player.win_time) > 0,
-        "distance": float(track[:, 0].max() / TILE - 2),
-        "coins": int(last.coins),
-        "kills": int(last.kills),
-        "frames": len(shown),
-    }
-    program.write_summary(options.out, summary)
-    for name, value in summary.items():
-        print(f"{name:>10}  {f'{value:.2f}' if isinstance(value, float) else value}")
-    return program.ended(options.out)
+
+def _frames(env: Mario, worlds: list[Any], tile_pixels: int) -> Iterator[list[np.ndarray]]:
+    """The pictures of the one film."""
+    yield [render.screen(env.course, world, tile_pixels) for world in tqdm(worlds, "film", file=sys.stderr)]
 
 
 def _game(options: Options) -> tuple[Mario, LevelId, play.Policy]:

@@ -1,12 +1,16 @@
 """How often Mario finishes the thesis's level, by a model, by TD learning and by both (Table 4.1)."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import interruptible  # noqa: F401
 import jax
+from matplotlib.figure import Figure
 
 from hrljax import results
+from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.rows import curves_csv
 from hrljax.learners.relational import RelationalHORDQ
@@ -48,7 +52,7 @@ def main(options: Options) -> int:
     program.check_counts(options, "seeds", "episodes")
     options.out.mkdir(parents=True, exist_ok=True)
     env, root = mario_hybrid.environment(), mario_hybrid.ROOTS[options.model]
-    curves = mario_hybrid.run(
+    runs = mario_hybrid.run(
         env,
         root,
         options.seeds,
@@ -58,24 +62,33 @@ def main(options: Options) -> int:
         cores=options.cores,
         key=options.key,
     )
-    rows = [mario_hybrid.summary_row(name, dataset) for name, dataset in curves.items()]
-    for i, dataset in enumerate(curves.values()):
-        results.save(dataset, options.out / "curves" / f"{i:02d}.zarr")
+    curves, rows = {}, []
+    for of_sweep in program.until_interrupted(runs):
+        for name, dataset in of_sweep.items():
+            results.save(dataset, options.out / "curves" / f"{len(curves):02d}.zarr")
+            curves[name] = dataset
+            rows.append(mario_hybrid.summary_row(name, dataset))
+    if not rows:
+        return program.ended(options.out)
     program.write_summary(options.out, rows)
     (options.out / "table_4_1.csv").write_text(curves_csv(("", name, dataset) for name, dataset in curves.items()))
     mario_hybrid.counts_picture(rows).savefig(options.out / "table_4_1.png", dpi=110)
     shown = {name: curves[name] for name in (*mario_hybrid.THESIS, mario_hybrid.BEST_NAME) if name in curves}
     mario_hybrid.distance_picture(shown).savefig(options.out / "figure_4_5.png", dpi=110)
     print(mario_hybrid.table(rows))
-    complete = all(dataset.attrs["complete"] for dataset in curves.values())
-    if complete and options.film:
-        learner = _learner(max(rows, key=lambda row: row["finished"]["mean"])["name"], root, options)
-        agent = mario_hybrid.trained(env, learner, options.episodes, jax.random.key(options.key))
-        game = mario_hybrid.best_game(agent, tries=20)
-        mario_hybrid.film(agent, game, options.out / "finished.gif")
-        middle = game[len(game) // 2].episode
-        mario_hybrid.search_picture(agent, middle).savefig(options.out / "search.png", dpi=100)
-    return program.ended(options.out, complete)
+    if options.film:
+        best = max(rows, key=lambda row: row["finished"]["mean"])["name"]
+        for picture in program.until_interrupted(_pictures(env, _learner(best, root, options), options)):
+            picture.savefig(options.out / "search.png", dpi=100)
+    return program.ended(options.out)
+
+
+def _pictures(env: Mario, learner: RelationalHORDQ, options: Options) -> Iterator[Figure]:
+    """Makes the film, and gives the picture of a search."""
+    agent = mario_hybrid.trained(env, learner, options.episodes, jax.random.key(options.key))
+    game = mario_hybrid.best_game(agent, tries=20)
+    mario_hybrid.film(agent, game, options.out / "finished.gif")
+    yield mario_hybrid.search_picture(agent, game[len(game) // 2].episode)
 
 
 def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:

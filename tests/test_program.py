@@ -3,13 +3,18 @@
 import json
 import re
 import runpy
+import signal
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hrljax.experiments import program
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 
 @dataclass(frozen=True)
@@ -50,13 +55,67 @@ def test_a_program_ends_with_what_it_returns(monkeypatch: pytest.MonkeyPatch):
     assert ended.value.code == 5
 
 
-def test_the_last_words_tell_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_last_words_tell_where_results_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert program.ended(tmp_path) == 0
+    assert program.ended(status=1) == 1
     said = capsys.readouterr()
-    assert str(tmp_path) in said.out
+    assert said.out == f"\nwritten to {tmp_path}\n"
     assert not said.err
-    assert program.ended(tmp_path, complete=False) == 130
-    assert "interrupted" in capsys.readouterr().err
+
+
+STOPPING = "stopping; interrupt again to stop at once"
+KEPT = "interrupted: {} kept in out, the last one as far as it came"
+ENDS = {
+    "before": (130, [STOPPING, "interrupted: no result was finished"]),
+    "between": (130, [STOPPING, "result 1", "all is written", KEPT.format("1 result is")]),
+    "terminated": (143, [STOPPING, "result 1", "all is written", KEPT.format("1 result is")]),
+    "in a destructor": (130, [STOPPING, "result 1", "all is written", KEPT.format("1 result is")]),
+    "as another error": (130, [STOPPING, "result 1", "all is written", KEPT.format("1 result is")]),
+    "with a result": (130, [STOPPING, "result 1", "result 2", "all is written", KEPT.format("2 results are")]),
+    "afterwards": (130, [STOPPING, "result 1", "result 2", "result 3", "all is written", KEPT.format("3 results are")]),
+    "twice": (130, [STOPPING, "interrupted twice: stopped at once", "result 1", "before the second"]),
+    "full disk": (1, [STOPPING, "error: the disk is full"]),
+}
+
+
+def test_an_interrupt_ends_a_program_with_what_was_finished(ends: dict[str, dict[str, Any]]):
+    """Whenever it comes, and whatever Python makes of it."""
+    for case, (status, lines) in ENDS.items():
+        assert ends[case]["status"] == status, case
+        assert set(lines) <= set(ends[case]["lines"]), case
+        assert not [line for line in ends[case]["lines"] if "Traceback" in line], case
+        assert ("all is written" in ends[case]["lines"]) == ("all is written" in lines), case
+
+
+def test_an_error_without_an_interrupt_has_a_traceback(ends: dict[str, dict[str, Any]]):
+    error = ends["own error"]
+    assert error["status"] == 1
+    assert error["lines"][-1] == "RuntimeError: not made of an interrupt"
+
+
+@pytest.fixture(scope="module")
+def ends() -> dict[str, dict[str, Any]]:
+    """Of every case in `interrupt_program.py`: its status, and the lines that it printed."""
+    cases = [*ENDS, "own error"]
+    command = [sys.executable, Path(__file__).with_name("interrupt_program.py"), *cases]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return dict(zip(cases, map(json.loads, printed.splitlines()), strict=True))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_during_imports_is_quiet(number: signal.Signals):
+    text = f"import signal, interruptible; signal.raise_signal({int(number)}); print('alive')"
+    text = f"import signal; signal.signal({int(number)}, signal.default_int_handler); {text}"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, cwd=SCRIPTS)
+    assert (done.returncode, done.stdout) == (128 + number, "")
+    assert done.stderr == "\ninterrupted: nothing was begun\n"
+
+
+@pytest.mark.parametrize("script", sorted(SCRIPTS.glob("*.py")), ids=lambda path: path.name)
+def test_every_program_takes_interrupts_before_it_imports_what_takes_long(script: Path):
+    imports = re.findall(r"^(?:from|import) (\w+)", script.read_text(), re.MULTILINE)
+    others = [name for name in imports if name not in sys.stdlib_module_names]
+    assert others[:1] == ["interruptible"] or script.name == "interruptible.py"
 
 
 def test_a_summary_is_json(tmp_path: Path):

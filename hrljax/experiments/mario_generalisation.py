@@ -131,8 +131,8 @@ def rows(
     cores: int | None = None,
     key: int = 0,
     report: Callable[[str], None] = lambda _: None,
-) -> Iterator[dict[str, Any]]:
-    """For every set that is trained on, and for the model alone, a row for every type and difficulty."""
+) -> Iterator[list[dict[str, Any]]]:
+    """For the model alone and every set that is trained on, a row for every type and difficulty."""
     for name in (UNTRAINED, *trained_on):
         report(name)
         playing = frozen(learner)
@@ -144,7 +144,7 @@ def rows(
             tables = trained_tables(TRAINED_ON[name], learner, seeds, num_episodes, cores=cores, key=key)
         games = [play_levels(played.environment, playing, own, cores) for own in tables]
         by_level = {of: np.stack([game[of] for game in games]) for of in games[0]}
-        yield from _by_kind(name, played, by_level)
+        yield list(_by_kind(name, played, by_level))
 
 
 def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:

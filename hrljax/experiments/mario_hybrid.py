@@ -1,6 +1,6 @@
 """Infinite Mario by a model, by relational TD learning and by both (thesis Table 4.1 and Figure 4.5)."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import jax
@@ -74,17 +74,22 @@ def run(
     pseudo_rewards: Iterable[float],
     best: bool = False,
     **options: Any,
-) -> dict[str, xr.Dataset]:
-    """Every method's curve, one bin an episode, and at last `BEST`'s; `options` as of `hrljax.sweep`."""
+) -> Iterator[dict[str, xr.Dataset]]:
+    """Every method's curve, one bin an episode, sweep by sweep, `BEST`'s at last; `options` as of `hrljax.sweep`.
+
+    Ends with a sweep that was interrupted, of which it gives the methods that have finished runs.
+    """
     common = {"seeds": seeds, "num_episodes": num_episodes, "bin_size": 1, "chunk_size": 1, **options}
-    found = {"SARSA": sweep(env, RelationalHORDQ(), **common)}
-    axis = [*pseudo_rewards]
-    if found["SARSA"].attrs["complete"] and axis:
+    sarsa = sweep(env, RelationalHORDQ(), **common)
+    yield {"SARSA": sarsa}
+    complete, axis = sarsa.attrs["complete"], [*pseudo_rewards]
+    if complete and axis:
         hybrid = sweep(env, RelationalHORDQ(root), axes={"pseudo_reward": axis}, **common)
-        found |= {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
-    if best and all(dataset.attrs["complete"] for dataset in found.values()):
-        found[BEST_NAME] = sweep(env, BEST, **common)
-    return found
+        curves = {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
+        yield {name: curve for name, curve in curves.items() if curve["steps"].notnull().any()}
+        complete = hybrid.attrs["complete"]
+    if complete and best:
+        yield {BEST_NAME: sweep(env, BEST, **common)}
 
 
 def summary_row(name: str, dataset: xr.Dataset) -> dict[str, Any]:

@@ -38,8 +38,13 @@ def settings(more_nodes: Iterable[int]) -> Iterator[dict[str, Any]]:
         yield {"priority": "cumulative", "answer": "any", "count": "generated", "max_nodes": max_nodes}
 
 
-def rows(of: Iterable[dict[str, Any]], stops: tuple[float, ...] = STOPS, cores: int | None = None) -> Iterator[dict]:
-    """One game for every setting and every reward at which a search stops; there is no randomness in it."""
+def rows(
+    of: Iterable[dict[str, Any]], stops: tuple[float, ...] = STOPS, cores: int | None = None
+) -> Iterator[list[dict]]:
+    """For every setting a game for every reward at which a search stops; there is no randomness in it.
+
+    After an interrupt only games that were finished.
+    """
     env = empty_level()
     for options in of:
         root = SearchRoot(model=MarioDynamics(), **options)
@@ -48,15 +53,18 @@ def rows(of: Iterable[dict[str, Any]], stops: tuple[float, ...] = STOPS, cores: 
         games = sweep(
             env, learner, seeds=1, num_episodes=1, bin_size=1, chunk_size=1, axes=axes, cores=cores, progress=False
         )
-        for stop in stops:
-            game = games.sel({"root.stop_reward": stop}).squeeze()
-            yield {
+        by_stop = {stop: games.sel({"root.stop_reward": stop}).squeeze() for stop in stops}
+        yield [
+            {
                 **options,
                 "stop_reward": None if stop >= UNLIMITED else stop,
                 "win": bool(game["win"]),
                 "distance": float(game["distance"]),
                 "length": int(game["length"]),
             }
+            for stop, game in by_stop.items()
+            if game["steps"].notnull()
+        ]
 
 
 def table_head() -> str:

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -10,19 +10,49 @@ from typing import Any, NoReturn, TypeVar
 import tyro
 
 from hrljax import checks
+from hrljax.experiments.interruption import Interruption, Result, leave
 
 Options = TypeVar("Options")
+
+NO_RESULT = "interrupted: no result was finished"
+
+_interruption = Interruption()
 
 
 def run(main: Callable[[Options], int], options: type[Options]) -> NoReturn:
     """Ends the process with the status of `main`, called with options from the command line.
 
-    An error of the user's ends it with a message instead of a traceback.
+    An error of the user's ends it with a message instead of a traceback, and so does an interrupt before
+    `until_interrupted`, with status 130, or 143 after SIGTERM. A second interrupt ends it at once.
     """
-    try:
-        sys.exit(main(tyro.cli(options)))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
+    global _interruption
+    interruption = _interruption = Interruption()
+    with interruption.handled():
+        try:
+            status: int | str = main(tyro.cli(options))
+        except BaseException as error:
+            cut_short = interruption.signal and interruption.raises
+            interruption.raises = False
+            if isinstance(error, KeyboardInterrupt) or cut_short:
+                print(NO_RESULT, file=sys.stderr)
+                status = interruption.status or 130
+            elif isinstance(error, ValueError | OSError):
+                status = f"error: {error}"
+            else:
+                raise
+        if interruption.signal:
+            leave(status) if isinstance(status, int) else leave(1, status)
+        sys.exit(status)
+
+
+def until_interrupted(results: Iterable[Result]) -> Iterator[Result]:
+    """Results of a program, one by one, up to an interrupt.
+
+    An interrupt cuts short how a result comes about, and a sweep then gives the runs that are finished;
+    what the caller does with a result, and afterwards with all of them, is done to its end. `ended` then
+    says what there is.
+    """
+    return _interruption.until(results)
 
 
 def require(extra: str, *packages: str) -> None:
@@ -54,9 +84,17 @@ def write_summary(out: Path, summary: Any) -> None:
     (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
 
 
-def ended(out: Path, complete: bool = True) -> int:
-    """Says where results are, and whether some are missing; the status to end with."""
-    print(f"\nwritten to {out}")
-    if not complete:
-        print("interrupted: only what was finished is there", file=sys.stderr)
-    return 0 if complete else 130
+def ended(out: Path | None = None, status: int = 0) -> int:
+    """Says where results are, and after an interrupt how many; the status to end with, which is `status` without."""
+    count = _interruption.results
+    if not _interruption.signal:
+        if out is not None:
+            print(f"\nwritten to {out}")
+        return status
+    if not count:
+        print(NO_RESULT, file=sys.stderr)
+    else:
+        results = f"{count} results are" if count > 1 else "1 result is"
+        place = "told above" if out is None else f"kept in {out}, the last one as far as it came"
+        print(f"interrupted: {results} {place}", file=sys.stderr)
+    return _interruption.status
