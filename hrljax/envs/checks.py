@@ -100,7 +100,7 @@ def _is_unknown(value: Any) -> bool:
     return isinstance(value, Tracer | jax.ShapeDtypeStruct)
 
 
-@once_per_environment(256)
+@once_per_environment(64)
 def _check_types(env: Any, params: Any) -> None:
     check_declarations(env)
     word, number = jax.ShapeDtypeStruct((), jnp.uint32), jax.ShapeDtypeStruct((), jnp.int32)
