@@ -12,7 +12,7 @@ import pytest
 
 import hrljax as hrl
 from hrljax import work
-from hrljax.envs import outcomes
+from hrljax.envs import checks, outcomes
 from hrljax.envs.base import concrete_params
 from hrljax.envs.checks import check_before_training
 from hrljax.random import below
@@ -402,3 +402,14 @@ def test_rewards_may_depend_on_the_limit_of_steps():
     env = paying(lambda s, p, r, t: -1.0 / p.max_steps)
     run = hrl.train(env, hrl.QLearning(), jax.random.key(0), 2, params=Numbers(max_steps=8))
     np.testing.assert_array_equal(run.metrics["return"], run.metrics["length"] * np.float32(-0.125))
+
+
+def test_few_of_many_combinations_of_swept_numbers_are_looked_at(monkeypatch: pytest.MonkeyPatch):
+    looked_at: list[Any] = []
+    monkeypatch.setattr(checks, "check_values", lambda env, points, sample: looked_at.extend(points))
+    values = np.linspace(0, 1, 1000).tolist()
+    numbers = concrete_params(Numbers(max_steps=9))
+    check_before_training(Corridor(), numbers, {"key_reward": values, "slip_probability": values})
+    assert len(set(looked_at)) == len(looked_at) <= 16
+    assert looked_at[0] == Numbers(0.0, 0.0, 9)
+    assert looked_at[-1] == Numbers(1.0, 1.0, 9)
