@@ -240,8 +240,7 @@ class TabularEnvironment(Environment[State, Params]):
         """
         numbers = self._fixed_numbers(params)
         check_types(self, numbers)
-        kinds = WordKinds(contract.word_cuts(self, numbers))
-        outcomes = enumerate_outcomes(self, numbers, kinds)
+        kinds, outcomes, _ = enumerate_outcomes(self, numbers)
         return Model.merged(outcomes.next_state, outcomes.reward, (outcomes.flags & 1) == 1, kinds.weights())
 
     def initial_distribution(self, params: Params | None = None) -> np.ndarray:

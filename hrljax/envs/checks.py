@@ -1,7 +1,7 @@
 """What is checked of an environment before anything is compiled for it."""
 
+import math
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import jax
@@ -43,10 +43,12 @@ def check_before_training(
     check_types(env, params._replace(**{name: jax.ShapeDtypeStruct((), jnp.float32) for name in swept}))
     if any(isinstance(number, Tracer) for number in params):
         return
-    values = [tuple(map(np.float32, column)) for column in swept.values()]
-    points = [params._replace(**dict(zip(swept, point, strict=True))) for point in product(*values)]
-    chosen = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int))
-    check_values(env, tuple(points[i] for i in chosen), sample)
+    sizes = [len(values) for values in swept.values()]
+    count = math.prod(sizes)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).astype(int))
+    places = np.array(np.unravel_index(chosen, sizes)).T if sizes else np.zeros((1, 0), int)
+    points = ([np.float32(v[i]) for v, i in zip(swept.values(), place, strict=True)] for place in places)
+    check_values(env, tuple(params._replace(**dict(zip(swept, point, strict=True))) for point in points), sample)
 
 
 @once_per_environment(64)
@@ -100,7 +102,7 @@ def _is_unknown(value: Any) -> bool:
     return isinstance(value, Tracer | jax.ShapeDtypeStruct)
 
 
-@once_per_environment(256)
+@once_per_environment(64)
 def _check_types(env: Any, params: Any) -> None:
     check_declarations(env)
     word, number = jax.ShapeDtypeStruct((), jnp.uint32), jax.ShapeDtypeStruct((), jnp.int32)

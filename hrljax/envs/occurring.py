@@ -33,7 +33,7 @@ def check_outcomes(
             to the state of another one.
     """
     check_range(env, firsts)
-    goes_on, ends = _reached(env, outcomes, firsts)
+    goes_on, ends = reached(env, outcomes, firsts)
     wrong = np.flatnonzero((renumbered != np.arange(env.num_states)) & (goes_on | ends))
     if len(wrong):
         number = wrong[0]
@@ -53,7 +53,7 @@ def check_outcomes(
     return outcomes, goes_on
 
 
-def _reached(env: Any, outcomes: Outcomes, firsts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reached(env: Any, outcomes: Outcomes, firsts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``[S]`` bool each: states in which an episode can go on, and those in which one can end."""
     goes_on, ends = np.zeros((2, env.num_states), np.bool_)
     latest = np.unique(firsts)

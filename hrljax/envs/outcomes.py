@@ -1,9 +1,8 @@
 """Everything that may come of an action, by running an environment on one random word of every kind."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,67 +14,39 @@ from hrljax import random
 from hrljax.envs import contract
 from hrljax.envs.occurring import Outcomes, check_outcomes, check_range
 from hrljax.envs.once import once_per_environment
+from hrljax.envs.word_kinds import WordKinds
 from hrljax.numerics import stage, take
 
 _MOST_CUTS = 64
 """More comparisons of random words than these cost what the table saves."""
 _MOST_ENTRIES = 1 << 20
 """A larger table does not stay in a core's cache, and takes long to make."""
-
 _RANDOM_BEGINNINGS = 1 << 14
+"""Beginnings that are looked at where their kinds are more than `_MOST_ENTRIES`."""
 
 
-class WordKinds:
-    """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
+class Enumerated(NamedTuple):
+    """Everything that may come of an environment."""
 
-    def __init__(self, cuts: tuple[tuple[Any, ...], ...]):
-        """Kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
-        # A cut above 1 is one that no word reaches.
-        thresholds = ([min(int(random.threshold(cut)), random.WORD_RANGE) for cut in word_cuts] for word_cuts in cuts)
-        # Where each word's kinds begin, and where the last one ends.
-        self._edges = [np.unique([0, *word_thresholds, random.WORD_RANGE]) for word_thresholds in thresholds]
-
-    @property
-    def count(self) -> int:
-        """N, the combinations."""
-        return math.prod(len(edges) - 1 for edges in self._edges)
-
-    def weights(self) -> np.ndarray:
-        """``[N]`` float64: the probability of each combination."""
-        weights = np.ones(1)
-        for edges in self._edges:
-            weights = np.outer(weights, np.diff(edges) / random.WORD_RANGE).ravel()
-        return weights
-
-    def first_words(self) -> tuple[np.ndarray, ...]:
-        """For each word, the least of the kind that a combination has: ``[N]`` uint32."""
-        return _combined([edges[:-1] for edges in self._edges])
-
-    def last_words(self) -> tuple[np.ndarray, ...]:
-        """The same for the greatest."""
-        return _combined([edges[1:] - 1 for edges in self._edges])
-
-    def number(self, words: tuple[Array, ...]) -> Array:
-        """The number of the combination of kinds that the words have, int32 of their shape."""
-        number = jnp.zeros_like(words[0], jnp.int32)
-        for word, edges in zip(words, self._edges, strict=True):
-            number = number * np.int32(len(edges) - 1)
-            for first in edges[1:-1]:
-                number += (word >= np.uint32(first)).astype(jnp.int32)
-        return number
+    kinds: WordKinds
+    outcomes: Outcomes
+    occurs: np.ndarray  # [S] bool: states that can occur and in which the episode goes on
 
 
-def _combined(words: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-    return tuple(grid.ravel().astype(np.uint32) for grid in np.meshgrid(*words, indexing="ij"))
-
-
-def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
+def enumerate_outcomes(env: Any, params: Any) -> Enumerated:
     """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`.
+
+    The last ones are kept, if they are few: a table of steps and an exact model are made of the same.
 
     Raises:
         ValueError: an outcome of a state that occurs makes no sense, see `check_outcomes`, or two words
             of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
     """
+    return (_kept_outcomes if few_outcomes(env, params) else _enumerate)(env, params)
+
+
+def _enumerate(env: Any, params: Any) -> Enumerated:
+    kinds = WordKinds(contract.word_cuts(env, params))
     steps = jax.jit(partial(_numbered_steps, env, kinds.count, params))
     ends = kinds.first_words(), kinds.last_words()
     with jax.ensure_compile_time_eval():
@@ -89,7 +60,10 @@ def enumerate_outcomes(env: Any, params: Any, kinds: WordKinds) -> Outcomes:
             f"{env.name}: word_cuts lacks a probability at which the meaning of a word changes: from state {state}, "
             f"action {env.action_names[action]!r} leads elsewhere {_words_of_kind(ends, kind)}"
         )
-    return outcomes
+    return Enumerated(kinds, outcomes, occurs)
+
+
+_kept_outcomes = once_per_environment(2)(_enumerate)
 
 
 def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
@@ -193,12 +167,19 @@ def numbered_step(
     env: Any, params: Any, state: Array, action: Array, words: tuple[Array, ...]
 ) -> tuple[Array, Array, Array]:
     """One step of a tabular environment in the numbers of its states: next state, reward, flags as in `Outcomes`."""
-    before = contract.decode(env, state)
-    after, reward, terminated, info = contract.transition(env, before, action, words, params)
+    after, reward, flags = flagged_step(env, params, contract.decode(env, state), action, words)
+    return contract.encode(env, after), reward, flags
+
+
+def flagged_step(
+    env: Any, params: Any, state: Any, action: Array, words: tuple[Array, ...]
+) -> tuple[Any, Array, Array]:
+    """One step of a tabular environment: next state, reward, flags as in `Outcomes`."""
+    after, reward, terminated, info = contract.transition(env, state, action, words, params)
     flags = terminated.astype(jnp.int32)
     for i, name in enumerate(env.metrics, start=1):
         flags |= info[name].astype(jnp.int32) << i
-    return contract.encode(env, after), reward, flags
+    return after, reward, flags
 
 
 class OutcomeTable:
@@ -260,7 +241,7 @@ def _table(env: Any, params: Any) -> OutcomeTable | None:
     kinds = WordKinds(cuts)
     if env.num_states * env.num_actions * kinds.count > _MOST_ENTRIES:
         return None
-    table = OutcomeTable(kinds, enumerate_outcomes(env, params, kinds), len(env.metrics))
+    table = OutcomeTable(kinds, enumerate_outcomes(env, params).outcomes, len(env.metrics))
     return table if table.fits else None
 
 

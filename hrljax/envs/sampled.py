@@ -1,31 +1,28 @@
 """What comes of acting at random, where an environment has too many outcomes to look at each of them."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
-from hrljax import random
 from hrljax.envs import contract
 from hrljax.envs.occurring import allowed_numbers, check_range, outside
+from hrljax.random import WORD_RANGE
 
 _EPISODES, _STEPS = 32, 128
-_STEP_STREAM, _BEGIN_STREAM = 3, 4
+"""Most random episodes for all `params` together, and most steps of one."""
 
 
-class _Played(NamedTuple):
-    """Steps of an episode."""
+class _Seen(NamedTuple):
+    """What a step led to; numbers are 0 unless the environment is tabular."""
 
-    goes_on: Any  # [steps] bool: the episode was not over before the step
-    number: Any  # [steps] int32: of the state before the step; 0 unless the environment is tabular
-    action: Any  # [steps] int32
-    reward: Any  # [steps] float32
-    amounts: Any  # [steps, events] float32
-    next_number: Any  # [steps] int32
-    renumbered: Any  # [steps] int32: encode(decode(next_number))
+    reward: Any  # float32
+    amounts: Any  # [events] float32
+    terminated: Any  # bool
+    number: Any  # int32: of the next state
+    renumbered: Any  # int32: encode(decode(number))
 
 
 def check_sampled_steps(env: Any, points: tuple[Any, ...]) -> None:
@@ -37,67 +34,52 @@ def check_sampled_steps(env: Any, points: tuple[Any, ...]) -> None:
     """
     limit = points[0].max_steps
 
+    # One step, not an episode: it takes the least time to compile.
     @jax.jit
-    def play(numbers: Any) -> _Played:
-        keys = jax.random.split(jax.random.key(0), _EPISODES)
-        return lax.map(lambda key: _episode(env, numbers._replace(max_steps=limit), random.key_words(key)), keys)
+    def begin(numbers: Any, words: Any) -> tuple[Any, Array]:
+        first = contract.initial(env, words, numbers._replace(max_steps=limit))
+        return first, _number(env, first)
 
-    for params in points:
-        with jax.ensure_compile_time_eval():
-            played = jax.tree.map(np.asarray, play(params))
-        _check_played(env, played)
-
-
-def _episode(env: Any, params: Any, key: tuple[Array, Array]) -> _Played:
-    def number_of(state: Any) -> Array:
-        return contract.encode(env, state) if env.is_tabular else jnp.int32(0)
-
-    def renumbered(number: Array) -> Array:
-        return contract.encode(env, contract.decode(env, number)) if env.is_tabular else number
-
-    def step(carry: tuple[Any, Array], position: Array) -> tuple[tuple[Any, Array], _Played]:
-        state, goes_on = carry
-        *words, choice = random.words(key, position, env.num_words + 1, _STEP_STREAM)
-        action = (choice % np.uint32(env.num_actions)).astype(jnp.int32)
-        after, reward, terminated, info = contract.transition(env, state, action, tuple(words), params)
+    @jax.jit
+    def step(numbers: Any, state: Any, action: Any, words: Any) -> tuple[Any, _Seen]:
+        numbers = numbers._replace(max_steps=limit)
+        after, reward, terminated, info = contract.transition(env, state, action, words, numbers)
         amounts = [info[name].astype(jnp.float32) for name in env.metrics]
-        stacked = jnp.stack(amounts) if amounts else jnp.zeros(0, jnp.float32)
-        before, next_number = number_of(state), number_of(after)
-        seen = _Played(
-            goes_on & (position < params.max_steps),
-            before,
-            action,
-            reward,
-            stacked,
-            next_number,
-            renumbered(next_number),
-        )
-        return (after, goes_on & ~terminated), seen
+        stacked, number = jnp.stack(amounts) if amounts else jnp.zeros(0, jnp.float32), _number(env, after)
+        again = contract.encode(env, contract.decode(env, number)) if env.is_tabular else number
+        return after, _Seen(reward, stacked, terminated, number, again)
 
-    begin = random.words(key, jnp.uint32(0), env.num_initial_words, _BEGIN_STREAM)
-    first = contract.initial(env, begin, params)
-    return lax.scan(step, (first, jnp.bool_(True)), jnp.arange(_STEPS, dtype=jnp.uint32))[1]
+    generator = np.random.default_rng(0)
+    with jax.ensure_compile_time_eval():
+        for params in (params for params in points for _ in range(max(1, _EPISODES // len(points)))):
+            state, number = begin(params, _words(generator, env.num_initial_words))
+            if env.is_tabular:
+                check_range(env, np.asarray(number)[None])
+            for time in range(min(limit, _STEPS)):
+                action = generator.integers(env.num_actions, dtype=np.int32)
+                place = f"from state {number}" if env.is_tabular else f"in step {time + 1} of an episode"
+                state, seen = step(params, state, action, _words(generator, env.num_words))
+                _check_seen(env, jax.device_get(seen), f"{place} by action {env.action_names[action]!r}")
+                number = seen.number
+                if seen.terminated:
+                    break
 
 
-def _check_played(env: Any, played: _Played) -> None:
-    """Raises for the first step that makes no sense; fields are ``[episodes, steps]``."""
-    steps = np.nonzero(played.goes_on)[1]
-    taken = _Played(*(field[played.goes_on] for field in played))
+def _words(generator: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
+    return tuple(generator.integers(WORD_RANGE, size=count, dtype=np.uint32))
 
-    def refuse(wrong: np.ndarray, what: Callable[[int], str]) -> None:
-        rows = np.flatnonzero(wrong)
-        if len(rows):
-            row = int(rows[0])
-            action = env.action_names[taken.action[row]]
-            place = f"from state {taken.number[row]}" if env.is_tabular else f"in step {steps[row] + 1} of an episode"
-            raise ValueError(f"{env.name}: {what(row)} {place} by action {action!r}")
 
-    if env.is_tabular:
-        check_range(env, played.number[:, 0])
-        after, again = taken.next_number, taken.renumbered
-        refuse(outside(env, after), lambda row: f"{allowed_numbers(env)}, got {after[row]}")
-        refuse(after != again, lambda row: f"encode(decode({after[row]})) must be {after[row]}, got {again[row]}")
-    columns = {"reward": taken.reward, **{f"event {n!r}": taken.amounts[:, i] for i, n in enumerate(env.metrics)}}
-    for name, column in columns.items():
-        rule = f"transition must return a finite number as {name}"
-        refuse(~np.isfinite(column), lambda row, rule=rule, column=column: f"{rule}, got {column[row]}")
+def _number(env: Any, state: Any) -> Array:
+    return contract.encode(env, state) if env.is_tabular else jnp.int32(0)
+
+
+def _check_seen(env: Any, seen: _Seen, place: str) -> None:
+    if env.is_tabular and outside(env, seen.number):
+        raise ValueError(f"{env.name}: {allowed_numbers(env)}, got {seen.number} {place}")
+    if seen.number != seen.renumbered:
+        wrong = f"encode(decode({seen.number})) must be {seen.number}, got {seen.renumbered}"
+        raise ValueError(f"{env.name}: {wrong} {place}")
+    events = (f"event {name!r}" for name in env.metrics)
+    for name, value in (("reward", seen.reward), *zip(events, seen.amounts, strict=True)):
+        if not np.isfinite(value):
+            raise ValueError(f"{env.name}: transition must return a finite number as {name}, got {value} {place}")

@@ -33,7 +33,7 @@ class Walker(Environment[WalkState, WalkParams]):
 
     name = "Walker"
     action_names = ("along", "across")
-    metrics = ("length", "long")
+    metrics = ("stride", "long")
     num_words = 1
     num_initial_words = 0
 
@@ -50,7 +50,7 @@ class Walker(Environment[WalkState, WalkParams]):
         length = words[0].astype(jnp.float32) / np.float32(WORD_RANGE)
         place = state.place + length * (jnp.arange(2, dtype=jnp.int32) == action).astype(jnp.float32)
         ends = place.max() >= params.far
-        return WalkState(place, state.time + 1), -length, ends, {"length": length, "long": length > 0.5}
+        return WalkState(place, state.time + 1), -length, ends, {"stride": length, "long": length > 0.5}
 
     def observation(self, state: WalkState) -> Any:
         return Sight(state.place, (state.time, (state.place > 0.5).astype(jnp.int8)))

@@ -1,0 +1,54 @@
+"""Random words by what they mean to an environment."""
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from hrljax import random
+
+
+class WordKinds:
+    """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
+
+    def __init__(self, cuts: tuple[tuple[Any, ...], ...]):
+        """Kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
+        # A cut above 1 is one that no word reaches.
+        thresholds = ([min(int(random.threshold(cut)), random.WORD_RANGE) for cut in word_cuts] for word_cuts in cuts)
+        # Where each word's kinds begin, and where the last one ends.
+        self._edges = [np.unique([0, *word_thresholds, random.WORD_RANGE]) for word_thresholds in thresholds]
+
+    @property
+    def count(self) -> int:
+        """N, the combinations."""
+        return math.prod(len(edges) - 1 for edges in self._edges)
+
+    def weights(self) -> np.ndarray:
+        """``[N]`` float64: the probability of each combination."""
+        weights = np.ones(1)
+        for edges in self._edges:
+            weights = np.outer(weights, np.diff(edges) / random.WORD_RANGE).ravel()
+        return weights
+
+    def first_words(self) -> tuple[np.ndarray, ...]:
+        """For each word, the least of the kind that a combination has: ``[N]`` uint32."""
+        return _combined([edges[:-1] for edges in self._edges])
+
+    def last_words(self) -> tuple[np.ndarray, ...]:
+        """The same for the greatest."""
+        return _combined([edges[1:] - 1 for edges in self._edges])
+
+    def number(self, words: tuple[Array, ...]) -> Array:
+        """The number of the combination of kinds that the words have, int32 of their shape."""
+        number = jnp.zeros_like(words[0], jnp.int32)
+        for word, edges in zip(words, self._edges, strict=True):
+            number = number * np.int32(len(edges) - 1)
+            for first in edges[1:-1]:
+                number += (word >= np.uint32(first)).astype(jnp.int32)
+        return number
+
+
+def _combined(words: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    return tuple(grid.ravel().astype(np.uint32) for grid in np.meshgrid(*words, indexing="ij"))
