@@ -4,21 +4,19 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import version
 from typing import Any
 
 import jax
 import numpy as np
 from jax import Array
 
+from hrljax import versions
 from hrljax.hierarchy import Hierarchy
 from hrljax.learners.base import Learner, Tabulated, tabulated
 from hrljax.learners.option_set import Options
 from hrljax.learners.task_tables import parts_of_states, tabulate
 from hrljax.work import ENV_PREFIX
 
-_PACKAGES = ("hrljax", "jax", "jaxlib", "numpy", "xarray")
 SWEPT = "swept"
 """Value of the attribute of a hyper-parameter that has an axis of its own."""
 
@@ -33,15 +31,9 @@ def attributes(env: Any, learner: Learner, params: Any, key: Array, swept: Mappi
         "learner": learner.name,
         **found,
         **{ENV_PREFIX + name: str(value) for name, value in options(env).items()},
-        **_versions(),
+        **versions.as_attributes([versions.installed()]),
         "key": json.dumps(np.asarray(jax.random.key_data(key)).tolist()),
     }
-
-
-@cache
-def _versions() -> dict[str, str]:
-    """The packages' versions as attributes; to look them up takes milliseconds."""
-    return {f"version.{package}": version(package) for package in _PACKAGES}
 
 
 def options(env: Any) -> dict[str, Any]:

@@ -5,9 +5,14 @@ from __future__ import annotations
 import shutil
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hrljax import checks
+from hrljax.descriptions import ROOT
+from hrljax.store_attributes import are_of_a_sweep, has_lost_its_root, parsed_root
+from hrljax.stored import MENDED, load_store
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,16 +28,20 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         OSError: `path` cannot be written, or is something other than a Zarr store.
     """
     import xarray as xr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
 
     checks.instance("dataset", dataset, xr.Dataset, "a dataset of hrljax.sweep")
     path = checks.path("path", path)
-    if path.exists() and not (path / "zarr.json").exists():
+    if path.exists() and not (path / ROOT).exists():
         raise FileExistsError(f"{path} exists and is no Zarr store; it is left alone")
     path.parent.mkdir(parents=True, exist_ok=True)
     workplace = Path(tempfile.mkdtemp(prefix=path.name + ".", dir=path.parent))
     partial, old = workplace / "new.partial", workplace / "old"
+    dataset = dataset.copy()
+    for variable in dataset.variables.values():
+        variable.encoding = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
     try:
-        dataset.to_zarr(partial, mode="w", consolidated=False)
+        dataset.to_zarr(partial, mode="w", consolidated=False, write_empty_chunks=True)
         if path.exists():
             path.rename(old)
         try:
@@ -48,15 +57,54 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
 def load(path: str | Path) -> xr.Dataset:
     """Loads a dataset that `save` or ``hrljax.sweep(store=...)`` wrote, into memory; unfinished runs are NaN.
 
+    Of a sweep's store, every chunk is checked: that it is as it was written, and in its place.
+    ``complete`` is 1 if every run is there, whatever the store says.
+
     Raises:
         TypeError: `path` is no path.
-        FileNotFoundError: there is no Zarr store at `path`.
-        ValueError: a chunk of a sweep's store is corrupt; the sweep computes it again.
+        FileNotFoundError: there is no Zarr store at `path`, or its ``zarr.json`` is lost.
+        ValueError: a file is damaged. The message names it and, of a sweep's store, the combination
+            of hyper-parameters and the seeds; the same sweep mends it.
     """
+    path = checks.path("path", path)
+    try:
+        root = parsed_root((path / ROOT).read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
+        lost = f"; its {ROOT} is lost: {MENDED}" if has_lost_its_root(path) else ""
+        raise FileNotFoundError(f"no Zarr store at {path}{lost}") from None
+    if root is None:
+        raise ValueError(f"the store {path} is damaged: {ROOT}; if it is a sweep's, {MENDED}")
+    return load_store(path, root) if are_of_a_sweep(root.get("attributes")) else _load_saved(path)
+
+
+def _load_saved(path: Path) -> xr.Dataset:
     import xarray as xr
 
-    path = checks.path("path", path)
-    if not (path / "zarr.json").exists():
-        raise FileNotFoundError(f"no Zarr store at {path}")
+    damaged = _damaged_files(path)
+    if damaged:
+        raise ValueError(f"the store {path} is damaged: {'; '.join(damaged)}")
     with xr.open_zarr(path, consolidated=False) as store:
         return store.load()
+
+
+def _damaged_files(path: Path) -> list[str]:
+    """Files of a store of `save` that cannot be read, or that are not there though every chunk has one."""
+    import zarr
+
+    damaged: list[str] = []
+    for folder in sorted(entry for entry in path.iterdir() if entry.is_dir()):
+        try:
+            array: Any = zarr.open_array(str(folder), mode="r")
+        except Exception as error:  # whatever Zarr makes of wrong bytes
+            damaged.append(f"{folder.name}/{ROOT} ({error})")
+            continue
+        has_every_chunk = any(codec.to_dict()["name"] == "crc32c" for codec in array.compressors)
+        for index in np.ndindex(array.cdata_shape):
+            file = folder.joinpath("c", *map(str, index))
+            try:
+                array.blocks[index]
+                if has_every_chunk and not file.exists():
+                    raise FileNotFoundError("it is not there")
+            except Exception as error:
+                damaged.append(f"{file.relative_to(path).as_posix()} ({error})")
+    return damaged

@@ -1,62 +1,79 @@
 """Sweeps on disk that can be continued: a Zarr store that grows chunk by chunk.
 
 A chunk holds a group of seeds of one combination of hyper-parameters. Each of its variables is one
-chunk file of a Zarr array, with a checksum that every Zarr reader verifies. Only one process writes,
-each file is put in its place whole, and nothing in the store depends on when, where or in how many
-attempts it was computed: a sweep that was killed and continued has the bytes of one that was not.
+chunk file of a Zarr array, with a label that says where it belongs (`hrljax.chunk_file`). Only one
+process writes, each file is put in its place whole, and nothing in the store depends on when, where
+or in how many attempts it was computed: a sweep that was killed and continued has the bytes of one
+that was not. More seeds only add files and fill up the last chunk of each combination; the file in
+the root says how many there are, so that readers see all of the change or nothing of it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hrljax.files import PARTIAL, write_atomically
-from hrljax.identity import differences
-from hrljax.labels import Labels, describe
+from hrljax import versions
+from hrljax.batch import Collected
+from hrljax.chunks import DamagedChunkError, Part, chunks_of_version
+from hrljax.descriptions import ROOT, SEED, describe_store
+from hrljax.files import PARTIAL, make_folder, with_reason, write_atomically
+from hrljax.labels import Labels
+from hrljax.store_attributes import (
+    COMPLETE,
+    SETTINGS,
+    VERSION,
+    attributes_on_disk,
+    continued_attributes,
+    new_attributes,
+    parsed_root,
+)
 
-_FORMAT = {"store_format": "hrljax sweep", "store_version": 1}
-_IGNORED = ("version.numpy", "version.xarray", "complete")
-"""Attributes that may differ when a sweep is continued."""
-_SEEDS_OF_A_CHUNK = "chunk_size"
-_DESCRIPTION = "zarr.json"
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class Store:
     """The chunks of one sweep. Use it as a context: it is locked against other processes meanwhile."""
 
-    def __init__(self, path: str | Path, labels: Labels, attributes: dict[str, Any], chunk_size: int):
+    def __init__(
+        self,
+        path: str | Path,
+        labels: Labels,
+        attributes: dict[str, Any],
+        chunk_size: int,
+        allow_other_versions: bool = False,
+    ):
         """
         Args:
             path: the folder of the store.
             labels: names and places of the sweep's values.
-            attributes: every setting that values depend on.
+            attributes: every setting that values depend on, and the versions of packages.
             chunk_size: seeds of a chunk.
+            allow_other_versions: whether to continue a store that was computed under other versions.
 
         Raises:
             FileExistsError: there is something else at `path`.
             ValueError: there is a store of another sweep; the message says what differs.
         """
-        self.path, self.labels, self.chunk_size = Path(path), labels, chunk_size
-        self.attributes = {**_FORMAT, **attributes, _SEEDS_OF_A_CHUNK: chunk_size, "complete": 0}
+        self.path = Path(path)
+        new = new_attributes(attributes, chunk_size)
+        self._on_disk = attributes_on_disk(self.path)
+        self.attributes = (
+            new if self._on_disk is None else continued_attributes(self.path, self._on_disk, new, allow_other_versions)
+        )
+        kind = chunks_of_version(self.attributes[VERSION])
+        self._chunks = kind(self.path, labels, chunk_size, new[SETTINGS])
+        self._begun: dict[int, Part] = {}  # by the end of the chunk, what was finished of it before
+        self._versions = versions.VersionsOfRuns(labels.num_rows, versions.from_attributes(self.attributes))
         self._locks = contextlib.ExitStack()
-        self._memory: dict[str, Any] = {}
-        self._arrays: dict[str, Any] = {}
-        found = attributes_on_disk(self.path)
-        if found is None:
-            return
-        wrong = differences(found, json.loads(json.dumps(self.attributes)), _IGNORED)
-        if wrong:
-            raise ValueError(f"the store {self.path} belongs to another sweep: {'; '.join(wrong)}")
-        self.attributes = found
 
     def __enter__(self) -> Store:
         """Makes the store ready to be written.
@@ -64,70 +81,99 @@ class Store:
         Raises:
             OSError: it cannot be written, or another process writes it.
         """
-        with self._explained():
-            self.path.mkdir(parents=True, exist_ok=True)
+        make_folder(self.path, "the store")
+        with contextlib.ExitStack() as undone, self._explained():
+            undone.callback(self._locks.close)
             self._lock()
             for partial in self.path.rglob("*" + PARTIAL):
                 partial.unlink()
             self._write_descriptions()
+            undone.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._locks.close()
 
-    def read(self, chunks: list[range]) -> Iterator[tuple[range, dict[str, np.ndarray]]]:
-        """The chunks that are finished, and their values. Warns of corrupt ones and deletes them."""
-        import zarr
+    def restore(self, chunks: list[range], collected: Collected) -> list[range]:
+        """Puts what is finished where it belongs. Warns of damaged files and deletes them.
 
-        group = zarr.open_group(str(self.path), mode="r")
-        arrays: dict[str, Any] = {name: group[name] for name in self.labels.variables}
-        corrupt: list[str] = []
+        Args:
+            chunks: all chunks.
+            collected: where values are put.
+
+        Returns:
+            What is left to compute, in chunks that may lack their first runs.
+        """
+        damaged: list[str] = []
+        left: list[range] = []
         for chunk in chunks:
-            if not all(self._file(name, chunk).exists() for name in arrays):
+            try:
+                part = self._chunks.read(chunk)
+            except DamagedChunkError as error:
+                for file, reason in error.reasons.items():
+                    damaged.append(f"{self._chunks.where(file, chunk)}: {reason}")
+                    file.unlink()
+                left.append(chunk)
                 continue
-            values: dict[str, np.ndarray] = {}
-            for name, array in arrays.items():
-                try:
-                    own = np.asarray(array[self._selection(chunk)])
-                except OSError:
-                    raise
-                except Exception as error:  # whatever a reader makes of wrong bytes
-                    corrupt.append(f"{self._file(name, chunk).relative_to(self.path)} ({error})")
-                    self._file(name, chunk).unlink()
-                else:
-                    values[name] = own.reshape(len(chunk), *own.shape[len(self.labels.dims) :])
-            if len(values) == len(arrays):
-                yield chunk, values
-        if corrupt:
+            begins = chunk.start + part.finished
+            if part.finished:
+                collected.put(range(chunk.start, begins), part.values)
+                self._note_versions(chunk.start, part)
+            if begins < chunk.stop:
+                left.append(range(begins, chunk.stop))
+            if chunk.start < begins < chunk.stop:
+                self._begun[chunk.stop] = part
+        if damaged:
             warnings.warn(
-                f"{len(corrupt)} files of the store {self.path} are corrupt, their chunks are computed again: "
-                + ", ".join(corrupt),
+                f"{len(damaged)} files of the store {self.path} are corrupt, their chunks are computed again: "
+                + "; ".join(damaged),
                 RuntimeWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
+        if self._chunks.tell_versions:
+            self._versions.keep_used()
+        if left:
+            self._versions.add(versions.installed())
+        self.mark(complete=not left)
+        return left
 
     def write(self, chunk: range, values: dict[str, np.ndarray]) -> None:
-        """Keeps the values of a chunk.
+        """Keeps the values of a chunk, or of those of its runs that were not finished.
 
         Raises:
             OSError: the store cannot be written; chunks that were kept before are intact.
         """
+        computed_by = [(len(chunk), versions.installed())]
+        part = Part({name: values[name] for name in self._chunks.names}, computed_by)
+        if chunk.stop in self._begun:
+            begun = self._begun[chunk.stop]
+            part, chunk = begun.extended(part), range(chunk.start - begun.finished, chunk.stop)
         with self._explained():
-            for name in self.labels.variables:
-                file = self._file(name, chunk)
+            for name in self._chunks.names:
+                file = self._chunks.file(name, chunk)
                 file.parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(file, self._encoded(name, chunk, values[name]))
+                write_atomically(file, self._chunks.content(name, chunk, part))
+        self._note_versions(chunk.start, part)
 
     def mark(self, complete: bool) -> None:
-        """Says in the store's attributes whether all chunks are finished.
+        """Says in the store's attributes whether all chunks are finished, and which versions computed them.
 
         Raises:
             OSError: the store cannot be written.
         """
-        if bool(self.attributes["complete"]) != complete:
-            self.attributes = {**self.attributes, "complete": int(complete)}
+        attributes = versions.recorded({**self.attributes, COMPLETE: int(complete)}, self._versions.sets)
+        if attributes != self.attributes:
+            self.attributes = attributes
             with self._explained():
-                write_atomically(self.path / _DESCRIPTION, self._settings())
+                write_atomically(self.path / ROOT, self._description.files(attributes)[ROOT])
+
+    def with_versions(self, dataset: xr.Dataset) -> xr.Dataset:
+        """The sweep's dataset, with the versions that computed what is in it."""
+        return self._versions.record_in(dataset)
+
+    def _note_versions(self, first: int, part: Part) -> None:
+        if self._chunks.tell_versions:
+            self._versions.put(first, part.computed_by)
 
     def _lock(self) -> None:
         try:
@@ -139,118 +185,47 @@ class Store:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            self._locks.close()
             raise BlockingIOError(errno.EAGAIN, "another process writes it") from None
         except OSError:
             return  # a file system without locks
+        if attributes_on_disk(self.path) != self._on_disk:
+            raise BlockingIOError(errno.EAGAIN, "another process has just written it")
 
     @contextlib.contextmanager
     def _explained(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            what = error.strerror or str(error)
-            raise type(error)(
-                error.errno or 0,
-                f"the store cannot be written ({what}); its finished chunks are intact, and the same sweep continues",
-                str(self.path),
+            raise with_reason(
+                error,
+                self.path,
+                "the store cannot be written",
+                "; its finished chunks are intact, and the same sweep continues",
             ) from error
 
-    def _file(self, name: str, chunk: range) -> Path:
-        *point, seed = np.unravel_index(chunk.start, self.labels.shape)
-        dims = len(self.labels.variables[name].dims)
-        return self.path.joinpath(name, "c", *map(str, (*point, seed // self.chunk_size, *[0] * dims)))
-
-    def _selection(self, chunk: range) -> tuple[Any, ...]:
-        *point, seed = (int(i) for i in np.unravel_index(chunk.start, self.labels.shape))
-        return (*(slice(i, i + 1) for i in point), slice(seed, seed + len(chunk)))
-
     def _write_descriptions(self) -> None:
-        """Writes all but the chunks, the settings first, and mends what is not as it should be."""
-        self._describe()
-        described = {name: content.to_bytes() for name, content in self._memory.items() if name != _DESCRIPTION}
-        for name, content in {_DESCRIPTION: self._settings(), **described}.items():
+        """Writes all but the chunks, and mends what is not as it should be.
+
+        The root's file comes first and says whose the folder is. Only where it is there already do the
+        seeds come before it, so that it never speaks of more seeds than there are.
+        """
+        root = self.path / ROOT
+        old = parsed_root(root.read_bytes()) if root.exists() else None
+        labels, version = self._chunks.labels, self.attributes[VERSION]
+        self._description = describe_store(labels, self._chunks.chunk_size, version, _seeds_of_a_file(old))
+        contents = self._description.files(self.attributes)
+        before_root = [name for name in contents if name.startswith(f"{SEED}/c/") and old is not None]
+        for name in dict.fromkeys([*before_root, *contents]):
             file = self.path / name
-            if not file.exists() or file.read_bytes() != content:
+            if not file.exists() or file.read_bytes() != contents[name]:
                 file.parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(file, content)
-
-    def _describe(self) -> None:
-        """Makes the store without its chunks, in memory."""
-        import zarr
-        from zarr.storage import MemoryStore
-
-        self._memory.clear()
-        labels, store = self.labels, MemoryStore(store_dict=self._memory)
-        group = zarr.create_group(store=store)
-        for name, variable in labels.variables.items():
-            dims = (*labels.dims, *variable.dims)
-            shape = (*labels.shape, *variable.shape)
-            chunks = (*[1] * len(labels.columns), self.chunk_size, *variable.shape)
-            self._arrays[name] = _array(group, name, shape, chunks, dims, variable.unfinished, variable.attributes)
-        for name, values in labels.coordinates.items():
-            nothing = values.dtype.type(0)
-            _array(group, name, values.shape, values.shape, (name,), nothing, describe(name))[...] = values
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
-            zarr.consolidate_metadata(store)  # xarray looks for it and warns if it is not there
-
-    def _settings(self) -> bytes:
-        """The description of the store as a whole."""
-        description = json.loads(self._memory[_DESCRIPTION].to_bytes())
-        members = description["consolidated_metadata"]["metadata"]  # some Zarrs list them as they happen to come
-        description["consolidated_metadata"]["metadata"] = dict(sorted(members.items()))
-        return json.dumps({**description, "attributes": self.attributes}, indent=2).encode()
-
-    def _encoded(self, name: str, chunk: range, values: np.ndarray) -> bytes:
-        """The content of a chunk file, as Zarr makes it in memory."""
-        array = self._arrays[name]
-        array[self._selection(chunk)] = values.reshape(*[1] * len(self.labels.columns), *values.shape).astype(
-            array.dtype
-        )
-        return self._memory.pop(self._file(name, chunk).relative_to(self.path).as_posix()).to_bytes()
+                write_atomically(file, contents[name])
 
 
-def _array(
-    group: Any,
-    name: str,
-    shape: tuple[int, ...],
-    chunks: tuple[int, ...],
-    dims: tuple[str, ...],
-    fill_value: Any,
-    attributes: dict[str, str],
-) -> Any:
-    """A new Zarr array; all that decides on its bytes is said here, whatever Zarr's defaults are."""
-    from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
-
-    return group.create_array(
-        name,
-        shape=shape,
-        chunks=chunks,
-        dtype=fill_value.dtype,
-        fill_value=fill_value,
-        filters=None,
-        serializer=BytesCodec(endian="little"),
-        compressors=[ZstdCodec(level=3), Crc32cCodec()],
-        chunk_key_encoding={"name": "default", "separator": "/"},
-        dimension_names=dims,
-        attributes=attributes,
-        config={"write_empty_chunks": True},
-    )
-
-
-def attributes_on_disk(path: Path) -> dict[str, Any] | None:
-    """The attributes of a store, None if nothing is there yet.
-
-    Raises:
-        FileExistsError: there is something else, which is left alone.
-    """
-    if not path.exists() or (path.is_dir() and all(entry.name.endswith(PARTIAL) for entry in path.iterdir())):
-        return None
+def _seeds_of_a_file(root: dict[str, Any] | None) -> int | None:
+    """How many seeds a file of their coordinate holds in the store with this root."""
     try:
-        attributes = json.loads((path / _DESCRIPTION).read_bytes())["attributes"]
-    except (OSError, ValueError, KeyError):
-        attributes = {}
-    if attributes.get("store_format") != _FORMAT["store_format"]:
-        raise FileExistsError(f"{path} exists and was not written by hrljax.sweep(store=...); it is left alone")
-    return attributes
+        seed = (root or {})["consolidated_metadata"]["metadata"][SEED]
+        return int(seed["chunk_grid"]["configuration"]["chunk_shape"][0])
+    except (KeyError, TypeError, IndexError, ValueError):
+        return None

@@ -27,7 +27,8 @@ from hrljax.labels import Labels, Variable, dataset, describe
 from hrljax.learners.base import Learner
 from hrljax.progress import ticking
 from hrljax.start import Startable, learned_shapes, named_leaves
-from hrljax.store import Store, attributes_on_disk
+from hrljax.store import Store
+from hrljax.store_attributes import chunk_size_of
 from hrljax.train import bin_sizes, check_arguments, default_bin_size, metric_names
 from hrljax.work import ENV_PREFIX, Job
 
@@ -52,6 +53,7 @@ def sweep(
     chunk_size: int | None = None,
     executor: Executor | None = None,
     store: str | Path | None = None,
+    allow_other_versions: bool = False,
     start: xr.Dataset | Startable | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
@@ -81,7 +83,11 @@ def sweep(
         store: the folder of a Zarr store that keeps every chunk as soon as it is finished; a chunk
             is a group of seeds of one combination. If the store is there, the sweep continues it:
             it computes what is missing or corrupt, and the end is the same as without the break,
-            byte for byte. `hrljax.load` and `xarray.open_zarr` open it at any time.
+            byte for byte. With more `seeds` than it has, it computes the others. `hrljax.load` and
+            `xarray.open_zarr` open it at any time.
+        allow_other_versions: whether to continue a store that other versions of hrljax or JAX have
+            begun, whose numbers may differ in a last bit from what these would give. The dataset
+            and the store say which versions there were, and ``version_set`` which computed each run.
         start: what training goes on from; from scratch if None. A dataset of a sweep with `keep_learned`:
             every run goes on from the one with its seed and its values along the axes that the dataset
             has, and with the same `key` two sweeps of 500 episodes give the bits of one of 1000. Or a
@@ -102,15 +108,17 @@ def sweep(
         KeyboardInterrupt: before the first runs, or for the second time.
         RuntimeError: this process was forked after JAX had started.
         TypeError, ValueError: a bad argument, an environment that is not as `hrljax.check` wants it, or a
-            store of another sweep; before anything is compiled.
+            store of another sweep, of other versions or of more seeds; before anything is compiled.
         FileExistsError: there is something else at `store`.
-        OSError: the store cannot be written; its finished chunks are intact.
+        OSError: the store cannot be made, which is told before anything is compiled, or written; its
+            finished chunks are intact.
     """
     cores = None if cores is None else checks.integer("cores", cores, 1)
     chunk_size = None if chunk_size is None else checks.integer("chunk_size", chunk_size, 1)
     if executor is not None:
         checks.instance("executor", executor, Executor, "a concurrent.futures.Executor")
     store = None if store is None else checks.path("store", store)
+    checks.flag("allow_other_versions", allow_other_versions)
     checks.flag("progress", progress)
     checked = check(
         env,
@@ -132,16 +140,13 @@ def sweep(
         disk = None
         if store is not None:
             attributes |= checked.identity()
-            chunk_size = chunk_size or (attributes_on_disk(Path(store)) or {}).get("chunk_size")
+            chunk_size = chunk_size_of(store, chunk_size)
         length, chunks = checked.chunks(cores, chunk_size, portable=store is not None or executor is not None)
         if store is not None:
-            disk = stack.enter_context(Store(store, labels, attributes, length))
+            disk = stack.enter_context(Store(store, labels, attributes, length, allow_other_versions))
         collected = batch.Collected(labels.num_rows)
         if disk is not None:
-            for chunk, values in disk.read(chunks):
-                collected.put(chunk, values)
-            chunks = [chunk for chunk in chunks if not collected.finished[chunk.start]]
-            disk.mark(complete=not chunks)
+            chunks = disk.restore(chunks, collected)
         rows = checked.rows()
         started = time.perf_counter()
         run: Callable[..., Any] = job.sent() if executor is not None else job
@@ -167,7 +172,8 @@ def sweep(
     attributes |= {"mapping": resolved, "seconds": time.perf_counter() - compiled_at, "complete": int(complete)}
     if executor is None:
         attributes["compile_seconds"] = compiled_at - started
-    return dataset(labels, results.values, results.finished, attributes)
+    swept = dataset(labels, results.values, results.finished, attributes)
+    return swept if disk is None else disk.with_versions(swept)
 
 
 @jax.jit

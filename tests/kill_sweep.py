@@ -2,7 +2,8 @@
 
 Arguments: the store; then for each life of the sweep the number of the system call (as counted by
 `CALLS`) in whose place it dies, 0 for none, or with a decimal point the seconds after which it is
-killed from outside. Lives are forks made before JAX has started, so that the imports are paid once.
+killed from outside; ``seeds=7`` among them changes the seeds of the lives that follow. Lives are forks
+made before JAX has started, so that the imports are paid once.
 """
 
 import os
@@ -50,12 +51,12 @@ def die_at(instant: int) -> None:
         setattr(os, name, counted(getattr(os, name)))
 
 
-def live(store: str, instant: int, delay: float) -> str:
+def live(store: str, seeds: int, instant: int, delay: float) -> str:
     """One life of the sweep in a process of its own: until a call or, asynchronously, for some seconds."""
     child = os.fork()
     if child == 0:
         die_at(instant)
-        sweep(store=store)
+        sweep(store=store, seeds=seeds)
         os._exit(0)
     if delay:
         time.sleep(delay)
@@ -65,6 +66,10 @@ def live(store: str, instant: int, delay: float) -> str:
 
 
 if __name__ == "__main__":
+    seeds = SETTINGS["seeds"]
     for life in sys.argv[2:]:
-        outcome = live(sys.argv[1], int(life) if life.isdigit() else 0, 0.0 if life.isdigit() else float(life))
-        print(outcome, flush=True)
+        if life.startswith("seeds="):
+            seeds = int(life.removeprefix("seeds="))
+            continue
+        instant, delay = (int(life), 0.0) if life.isdigit() else (0, float(life))
+        print(live(sys.argv[1], seeds, instant, delay), flush=True)

@@ -133,3 +133,29 @@ def test_what_is_no_dataset_or_no_path_is_refused(tmp_path: Path):
         with pytest.raises(TypeError, match=message):
             call()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"), [("truncated", ".*"), ("flipped", ".*[cC]hecksum.*"), ("absent", "it is not there")]
+)
+def test_a_damaged_file_is_named(tmp_path: Path, damage: str, reason: str):
+    path = tmp_path / "curve.zarr"
+    save(dataset(), path)
+    file = path / "steps" / "c" / "0" / "0"
+    content = file.read_bytes()
+    if damage == "absent":
+        file.unlink()
+    else:
+        file.write_bytes(content[:-1] if damage == "truncated" else content[:-5] + b"?" + content[-4:])
+    with pytest.raises(ValueError, match=rf"curve.zarr is damaged: steps/c/0/0 \({reason}\)$"):
+        load(path)
+    (path / "zarr.json").write_text("?")
+    with pytest.raises(ValueError, match=r"curve.zarr is damaged: zarr\.json"):
+        load(path)
+
+
+def test_datasets_of_before_had_no_file_for_empty_chunks(tmp_path: Path):
+    path = tmp_path / "curve.zarr"
+    dataset(zeros=("seed", np.full(3, np.nan))).to_zarr(path, consolidated=False, write_empty_chunks=False)
+    assert not (path / "zeros" / "c").exists()
+    xr.testing.assert_identical(load(path), dataset(zeros=("seed", np.full(3, np.nan))))

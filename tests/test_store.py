@@ -20,13 +20,7 @@ from hrljax import files, identity
 from hrljax.store import Store
 from tests import kill_sweep
 from tests.kill_sweep import sweep
-
-
-def contents(store: Path) -> dict[str, bytes | None]:
-    """Every file and folder below a store."""
-    return {
-        path.relative_to(store).as_posix(): path.read_bytes() if path.is_file() else None for path in store.rglob("*")
-    }
+from tests.stores import Counted, chunk_files, contents, written
 
 
 @pytest.fixture(scope="module")
@@ -40,32 +34,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def copy(whole: Path, tmp_path: Path) -> Path:
     """Another such store, to be damaged."""
-    path = tmp_path / "x.zarr"
-    for name, content in contents(whole).items():
-        if content is not None:
-            (path / name).parent.mkdir(parents=True, exist_ok=True)
-            (path / name).write_bytes(content)
-    return path
-
-
-def chunk_files(store: Path) -> list[Path]:
-    return sorted(
-        path for path in store.rglob("*") if path.is_file() and "c" in path.parts and "step_size" not in path.parts
-    )
-
-
-class Counted:
-    """Chunks that are computed."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch):
-        self.chunks: list[range] = []
-        write = Store.write
-
-        def counted(store: Store, chunk: range, values: Any) -> None:
-            self.chunks.append(chunk)
-            write(store, chunk, values)
-
-        monkeypatch.setattr(Store, "write", counted)
+    return written(tmp_path / "x.zarr", contents(whole))
 
 
 def test_a_store_holds_what_the_sweep_returns(whole: Path):
@@ -159,7 +128,6 @@ def test_damaged_descriptions_are_mended(whole: Path, copy: Path):
 
 OTHER: list[tuple[dict[str, Any], str]] = [
     ({"num_episodes": 13}, "num_episodes is 12 there and 13 here"),
-    ({"seeds": 6}, "seeds is 5 there and 6 here"),
     ({"bin_size": 3}, "bin_size is 4 there and 3 here"),
     ({"key": 1}, r"key is '\[0, 0\]' there and '\[0, 1\]' here"),
     ({"axes": {"step_size": [0.125, 0.25]}}, r"axes is '.*0\.5.*' there and '.*0\.25.*' here"),
@@ -236,11 +204,37 @@ def test_something_else_is_left_alone(tmp_path: Path):
     assert contents(tmp_path) == before
 
 
-def test_a_store_that_cannot_be_made_is_an_error_before_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ("file/x.zarr", r"Not a directory\): .*file is a file"),
+        ("file/below/x.zarr", r"Not a directory\): .*file is a file"),
+        ("new/" + "x" * 300, r"File name too long\): its folder cannot be made"),
+        ("locked/new/x.zarr", r"Permission denied\): its folder cannot be made"),
+    ],
+)
+def test_a_store_that_cannot_be_made_is_an_error_before_compilation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, reason: str
+):
     (tmp_path / "file").write_text("mine")
+    (tmp_path / "locked").mkdir()
+    before, mkdir = contents(tmp_path), os.mkdir
+
+    def guarded(path: Any, *arguments: Any) -> None:
+        if Path(path).name == "x.zarr" and "locked" in Path(path).parts and Path(path).parent.exists():
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))  # root may do everything
+        mkdir(path, *arguments)
+
+    monkeypatch.setattr(os, "mkdir", guarded)
     monkeypatch.setattr("hrljax.batch.compile_mapped", lambda *_: pytest.fail("the sweep went on to compile"))
-    with pytest.raises(OSError, match=r"the store cannot be written .*file"):
-        sweep(store=tmp_path / "file" / "x.zarr", seeds=7)
+    with pytest.raises(OSError, match=rf"the store cannot be (written|opened) \({reason}.*: '{tmp_path / place}'"):
+        sweep(store=tmp_path / place, seeds=7)
+    assert contents(tmp_path) == before
+
+
+def test_a_name_that_is_too_long_is_an_error(tmp_path: Path):
+    with pytest.raises(OSError, match=r"the store cannot be .* \(File name too long\).*xxxx'"):
+        sweep(store=tmp_path / ("x" * 300))
 
 
 def test_a_full_disk_costs_no_finished_chunk(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -285,6 +279,24 @@ def test_one_process_at_a_time(copy: Path):
     finally:
         os.close(descriptor)
     sweep(store=copy)
+
+
+def test_what_another_process_has_just_written_is_not_overwritten(copy: Path, monkeypatch: pytest.MonkeyPatch):
+    """It made more seeds between this one's look at the store and its lock."""
+    pytest.importorskip("fcntl")
+    import fcntl
+
+    lock = fcntl.flock
+
+    def after_another(*arguments: Any) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        sweep(store=copy, seeds=7)
+        lock(*arguments)
+
+    monkeypatch.setattr(fcntl, "flock", after_another)
+    with pytest.raises(BlockingIOError, match="another process has just written it"):
+        sweep(store=copy)
+    assert hrljax.load(copy).sizes["seed"] == 7
 
 
 def test_an_interrupted_sweep_is_continued(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
