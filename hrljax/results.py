@@ -28,6 +28,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         OSError: `path` cannot be written, or is something other than a Zarr store.
     """
     import xarray as xr
+    import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     checks.instance("dataset", dataset, xr.Dataset, "a dataset of hrljax.sweep")
@@ -41,7 +42,8 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     for variable in dataset.variables.values():
         variable.encoding = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
     try:
-        dataset.to_zarr(partial, mode="w", consolidated=False, write_empty_chunks=True)
+        with zarr.config.set({"array.write_empty_chunks": True}):  # so that a file that is not there is lost
+            dataset.to_zarr(partial, mode="w", consolidated=False)
         if path.exists():
             path.rename(old)
         try:
