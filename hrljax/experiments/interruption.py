@@ -19,14 +19,15 @@ class Interruption:
     """The interrupt of a program, and how far the program was.
 
     Attributes:
-        signal: the first signal that came, 0 if none did.
+        signal: the first signal that came, 0 if none did. A `KeyboardInterrupt` without one counts as SIGINT.
+        came_from_outside: whether there was a signal.
         raises: whether a signal raises `KeyboardInterrupt` now; else it is only remembered.
         results: results that the program has got so far.
     """
 
     def __init__(self) -> None:
         self.signal, self.raises, self.results = 0, True, 0
-        self._was_swallowed = False
+        self.came_from_outside = self._was_swallowed = False
 
     @property
     def status(self) -> int:
@@ -54,7 +55,7 @@ class Interruption:
             leave(self.status, "interrupted twice: stopped at once")
         if not self.signal:
             _say("stopping; interrupt again to stop at once")
-        self.signal, self._was_swallowed = self.signal or number, False
+        self.signal, self.came_from_outside, self._was_swallowed = self.signal or number, True, False
         if self.raises:
             raise KeyboardInterrupt
 

@@ -40,7 +40,7 @@ def run(main: Callable[[Options], int], options: type[Options]) -> NoReturn:
                 status = f"error: {error}"
             else:
                 raise
-        if interruption.signal:
+        if interruption.came_from_outside:
             leave(status) if isinstance(status, int) else leave(1, status)
         sys.exit(status)
 
