@@ -134,23 +134,25 @@ def integer(
         meaning: what the message says of these numbers.
         may_be_traced: whether a traced integer passes, whatever it may be.
     """
+    is_integer, is_traced = is_number(value, np.integer), isinstance(value, Tracer)
+    if is_integer and is_traced and may_be_traced:
+        return value
+    if is_integer and not is_traced and least <= int(value) <= most:
+        return int(value)
     explained = f" ({meaning})" if meaning else ""
     message = f"{name} must be an integer from {least} to {most}{explained}, got {described(value)}"
-    if isinstance(value, Tracer) and not may_be_traced:
+    if is_traced and not may_be_traced:
         raise TypeError(f"{message}; where jax.jit traces arguments, this one has to be static (static_argnames)")
-    if not is_number(value, np.integer):
-        raise TypeError(message)
-    if isinstance(value, Tracer):
-        return value
-    if not least <= int(value) <= most:
-        raise ValueError(message)
-    return int(value)
+    raise ValueError(message) if is_integer else TypeError(message)
 
 
 def odd(name: str, value: Any, most: int = LARGEST_INTEGER) -> int:
     """The value as an int, if it is an odd integer from 1 to `most`."""
-    if integer(name, value, 1, most) % 2 == 0:
-        raise ValueError(f"{name} must be an odd integer from 1 to {most}, got {described(value)}")
+    message = f"{name} must be an odd integer from 1 to {most}, got {described(value)}"
+    if not is_number(value, np.integer) or isinstance(value, Tracer):
+        raise TypeError(message)
+    if not 1 <= int(value) <= most or int(value) % 2 == 0:
+        raise ValueError(message)
     return int(value)
 
 

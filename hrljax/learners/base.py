@@ -1,6 +1,7 @@
 """What a training loop asks of a learner, and how hyper-parameters are declared."""
 
 import dataclasses
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
@@ -22,14 +23,12 @@ Hyperparameter: TypeAlias = "float | Schedule | Array"
 
 
 def hyperparameter(
-    default: Any,
-    low: float = -checks.LARGEST_NUMBER,
-    high: float = checks.LARGEST_NUMBER,
-    low_open: bool = False,
-    schedule: bool = False,
+    default: Any, low: float = -math.inf, high: float = math.inf, low_open: bool = False, schedule: bool = False
 ) -> Any:
-    """A dataclass field that may be swept, with the interval that it must lie in."""
-    metadata = {"sweepable": True, "interval": checks.Interval(low, high, low_open), "schedule": schedule}
+    """A dataclass field that may be swept, with the interval that it must lie in, as a finite float32."""
+    largest = checks.LARGEST_NUMBER
+    interval = checks.Interval(max(low, -largest), min(high, largest), low_open)
+    metadata = {"sweepable": True, "interval": interval, "schedule": schedule}
     return dataclasses.field(default=default, metadata=metadata)
 
 

@@ -15,7 +15,7 @@ from hrljax import MarioModel
         ({"min_leaf": 0}, ValueError, "MarioModel: min_leaf must be an integer from 1 to 1048576, got 0"),
         ({"num_bins": 1}, ValueError, "MarioModel: num_bins must be an integer from 2 to 1024, got 1"),
         ({"size": 4}, ValueError, "MarioModel: size must be an odd integer from 1 to 11, got 4"),
-        ({"size": 13}, ValueError, "MarioModel: size must be an integer from 1 to 11, got 13"),
+        ({"size": 13}, ValueError, "MarioModel: size must be an odd integer from 1 to 11, got 13"),
         ({"offsets": "x"}, ValueError, "MarioModel: offsets must be one of False, True, got 'x'"),
         ({"below": 2}, ValueError, "MarioModel: below must be one of False, True, got 2"),
         ({"pessimism": "a"}, TypeError, "MarioModel: pessimism must be a number, got 'a'"),

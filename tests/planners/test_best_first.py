@@ -316,9 +316,9 @@ def test_a_batch_of_trees_is_refused_on_the_host():
     ],
 )
 def test_bad_options_are_refused(argument: str, value: Any, error: type[Exception], message: str):
-    options = {"num_actions": 3, argument: value}
+    options = {"model": line, "num_actions": 3, argument: value}
     with pytest.raises(error, match=message):
-        best_first_search(line, jnp.float32(0), **options)
+        best_first_search(state=jnp.float32(0), **options)
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ class Mario(Environment[Episode, MarioParams]):
     def transition(
         self, state: Episode, action: Array, words: tuple[Array, ...], params: MarioParams
     ) -> tuple[Episode, Array, Array, dict[str, Array]]:
-        action = checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True)
+        checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True)
         after = advance(self.course, state, self.keys(action), params.max_steps, self.quantum)
         terminated = after.phase == OBSERVED
         ends = terminated & (state.phase != OBSERVED)

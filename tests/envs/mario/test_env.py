@@ -155,10 +155,9 @@ def test_levels_as_text():
         ({"difficulty": -1}, "difficulty must be .*got -1"),
         ({"width": 10}, "width must be .*got 10"),
         ({"seeds": ()}, "1 to 65536 levels, got 0"),
-        ({"seeds": [1]}, r"seeds must be a tuple, got \[1\]"),
         ({"preset": "hard"}, "preset must be one of 'competition', 'thesis', got 'hard'"),
-        ({"actions": "some"}, "actions must be None or one of 'all', 'thesis', got 'some'"),
-        ({"quantum": 3}, "quantum must be None or one of 1, 2, .*got 3"),
+        ({"actions": "some"}, "actions must be one of None, 'all', 'thesis', got 'some'"),
+        ({"quantum": 3}, "quantum must be one of None, 1, 2, .*got 3"),
         ({"levels": ("type: castle",)}, "."),
     ],
 )
@@ -169,12 +168,12 @@ def test_bad_options(options: dict, text: str):
 
 def test_bad_actions():
     state = first()
-    for action, text in [
-        (jnp.zeros(2, jnp.int32), r"one integer, got int32 of shape \[2\]"),
-        (jnp.float32(1), r"one integer, got float32 of shape \[\]"),
-        (jnp.int32(12), "action must be in 0..11, got 12"),
+    for action, error, text in [
+        (jnp.zeros(2, jnp.int32), TypeError, r"action must be an integer from 0 to 11, got Array\(\[0, 0\]"),
+        (jnp.float32(1), TypeError, "action must be an integer from 0 to 11, got 1.0"),
+        (jnp.int32(12), ValueError, "action must be an integer from 0 to 11, got 12"),
     ]:
-        with pytest.raises(ValueError, match=text):
+        with pytest.raises(error, match=text):
             ENV.transition(state, action, (), MarioParams())
 
 

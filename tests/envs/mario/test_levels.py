@@ -147,16 +147,20 @@ def test_a_batch_of_levels_has_a_leading_axis():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((1 << 31, 0, 0), "seed must be an integer, a signed number of 32 bits; got 2147483648"),
-        ((0.5, 0, 0), "seed must be an integer"),
-        ((1, 3, 0), "level_type must be an integer, 0 overground, 1 underground or 2 castle; got 3"),
-        ((1, True, 0), "level_type must be an integer"),
-        ((1, 0, -1), "difficulty must be an integer, 0 to 1,000,000; got -1"),
-        ((1, 0, 0, 19), r"width must be an integer, 20 \(one screen\) to 1,000,000 tiles; got 19"),
+        ((1 << 31, 0, 0), "seed must be an integer from -2147483648 to 2147483647, got 2147483648"),
+        ((1, 3, 0), r"level_type must be an integer from 0 to 2 \(overground, underground, castle\), got 3"),
+        ((1, 0, -1), "difficulty must be an integer from 0 to 1000000, got -1"),
+        ((1, 0, 0, 19), r"width must be an integer from 20 to 1000000 \(tiles, at least one screen\), got 19"),
     ],
 )
 def test_bad_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
+        generate_level(*arguments)
+
+
+@pytest.mark.parametrize(("arguments", "name"), [((0.5, 0, 0), "seed"), ((1, True, 0), "level_type")])
+def test_arguments_are_integers(arguments, name):
+    with pytest.raises(TypeError, match=f"{name} must be an integer from "):
         generate_level(*arguments)
 
 
