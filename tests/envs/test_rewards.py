@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import hrljax as hrl
 from hrljax import random, simulation
+from hrljax.counting import count
 from hrljax.envs.base import concrete_params
 from tests.strategies import ProblemEnvironment, random_problem
 
@@ -84,7 +85,7 @@ def test_steps_have_the_rewards_of_the_model(dtype: str, seed: int):
     @jax.jit
     @jax.vmap
     def rewards(state: Any, action: Any) -> Any:
-        blocks = [(of, of.block(random.key_words(key), jnp.uint32(0))) for of in simulators]
+        blocks = [(of, of.block(random.key_words(key), count())) for of in simulators]
         steps = [of.step(state, action, block, jnp.int32(0)).reward for of, block in blocks]
         return env.step(key, env.decode(state), action)[2], *steps
 

@@ -87,5 +87,5 @@ def test_hamq_has_no_value_that_a_root_could_plan_with():
 def test_what_is_no_hierarchy_or_root_is_named():
     with pytest.raises(TypeError, match="HORDQ: hierarchy must be a Hierarchy"):
         hrljax.HORDQ("taxi")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="MAXQ-Q: root must be None or a root"):
+    with pytest.raises(TypeError, match="MAXQ: root must be None or a root"):
         hrljax.MAXQ(TAXI.hierarchy(), "random")  # type: ignore[arg-type]

@@ -129,7 +129,7 @@ def test_a_game_on_a_lattice_and_its_drift(short_game):
     row = drift(games, 8)
     assert 0 < row.within_pixel < row.within_tile < 1
     assert f"{row.within_tile:.1%}" in table([row])
-    with pytest.raises(ValueError, match=r"quantum must be None or one of 1, 2, .*got 3"):
+    with pytest.raises(ValueError, match=r"quantum must be one of None, 1, 2, .*got 3"):
         drift([game], 3)
 
 
