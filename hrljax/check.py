@@ -11,6 +11,7 @@ from hrljax.envs import contract
 from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
 from hrljax.envs.checks import check_declarations, check_types, check_values
 from hrljax.envs.tabular_checks import check_model, check_words
+from hrljax.interop.numpy_values import as_element
 
 _STEPS, _REPEATED = 24, 2
 """Steps that are taken from `reset` on; how many of them are repeated, without compilation too."""
@@ -106,8 +107,6 @@ def _check_same(env: Environment[Any, Any], name: str, expected: Any, method: An
 
 
 def _check_observation(env: Environment[Any, Any], observation: Any) -> None:
-    from hrljax.interop.numpy_values import as_element  # here, so that importing hrljax loads no adapter
-
     space = env.observation_space
     if not isinstance(space, gymnasium.Space):
         raise TypeError(f"{env.name}: observation_space must be a space of Gymnasium, got {space!r}")
