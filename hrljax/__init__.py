@@ -9,7 +9,7 @@ from hrljax import xla as _xla
 _xla.request_native_loops()
 
 from hrljax import solvers  # noqa: E402
-from hrljax.check import check  # noqa: E402
+from hrljax.check_environment import check  # noqa: E402
 from hrljax.envs.base import Environment, TabularEnvironment  # noqa: E402
 from hrljax.envs.registry import make, register, registered  # noqa: E402
 from hrljax.estimate import plan  # noqa: E402

@@ -8,10 +8,9 @@ import jax
 import numpy as np
 
 from hrljax.envs import contract
-from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
+from hrljax.envs.base import Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_declarations, check_types, check_values
 from hrljax.envs.tabular_checks import check_model, check_words
-from hrljax.interop.numpy_values import as_element
 
 _STEPS, _REPEATED = 24, 2
 """Steps that are taken from `reset` on; how many of them are repeated, without compilation too."""
@@ -61,7 +60,7 @@ def _checked_numbers(env: Environment[Any, Any], params: Any) -> Any:
     default = env.default_params
     if not isinstance(default, tuple) or "max_steps" not in getattr(default, "_fields", ()):
         raise TypeError(f"{env.name}: default_params must be a NamedTuple with a field max_steps, got {default!r}")
-    return concrete_params(default if params is None else params)
+    return numbers_of(env, params)
 
 
 def _check_steps(env: Environment[Any, Any], params: Any) -> Any:
@@ -107,6 +106,8 @@ def _check_same(env: Environment[Any, Any], name: str, expected: Any, method: An
 
 
 def _check_observation(env: Environment[Any, Any], observation: Any) -> None:
+    from hrljax.interop.numpy_values import as_element  # adapters are loaded with their first use
+
     space = env.observation_space
     if not isinstance(space, gymnasium.Space):
         raise TypeError(f"{env.name}: observation_space must be a space of Gymnasium, got {space!r}")
