@@ -107,32 +107,25 @@ def run(
     for name, learner in domain.learners().items():
         further = {"pseudo_reward": pseudo_rewards} if "pseudo_reward" in learner.sweepable() else {}
         parts: list[xr.Dataset] = []
-        complete = True
         for step_size in step_sizes:
-            try:
-                dataset = sweep(
-                    domain.env,
-                    learner,
-                    seeds=seeds,
-                    num_episodes=episodes,
-                    axes={"step_size": [step_size], **further},
-                    bin_size=max(1, episodes // _BINS),
-                    params=domain.params,
-                    cores=cores,
-                    key=key,
-                )
-                parts.append(measured(dataset, values))
-                complete = bool(dataset.attrs["complete"])
-            except KeyboardInterrupt:
-                if not parts:
-                    raise
-                complete = False
-            if not complete:
+            dataset = sweep(
+                domain.env,
+                learner,
+                seeds=seeds,
+                num_episodes=episodes,
+                axes={"step_size": [step_size], **further},
+                bin_size=max(1, episodes // _BINS),
+                params=domain.params,
+                cores=cores,
+                key=key,
+            )
+            parts.append(measured(dataset, values))
+            if not dataset.attrs["complete"]:
                 break
         joined = xr.concat(parts, "step_size", combine_attrs="drop_conflicts")
         for total in ("seconds", "compile_seconds"):
             joined.attrs[total] = sum(part.attrs[total] for part in parts)
-        joined.attrs["complete"] = int(complete)
+        joined.attrs["complete"] = parts[-1].attrs["complete"]
         yield name, joined
         if not joined.attrs["complete"]:
             return
