@@ -7,8 +7,9 @@ import gymnasium
 import jax
 import numpy as np
 
+from hrljax import checks
 from hrljax.envs import contract
-from hrljax.envs.base import Environment, TabularEnvironment, concrete_params
+from hrljax.envs.base import Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_declarations, check_types, check_values
 from hrljax.envs.tabular_checks import check_model, check_words
 from hrljax.interop.numpy_values import as_element
@@ -39,8 +40,7 @@ def check(env: Environment[Any, Any], params: Any = None) -> None:
         TypeError, ValueError: what is wrong first; the message names the method, the value, and where it
             can the state and the action.
     """
-    if not isinstance(env, Environment):
-        raise TypeError(f"env must be an environment such as hrljax.make('Bus'), got {env!r}")
+    checks.instance("env", env, Environment, "an environment such as hrljax.make('Bus')")
     check_declarations(env)
     numbers = _checked_numbers(env, params)
     try:
@@ -61,7 +61,7 @@ def _checked_numbers(env: Environment[Any, Any], params: Any) -> Any:
     default = env.default_params
     if not isinstance(default, tuple) or "max_steps" not in getattr(default, "_fields", ()):
         raise TypeError(f"{env.name}: default_params must be a NamedTuple with a field max_steps, got {default!r}")
-    return concrete_params(default if params is None else params)
+    return numbers_of(env, params)
 
 
 def _check_steps(env: Environment[Any, Any], params: Any) -> Any:
