@@ -7,6 +7,7 @@ import gymnasium
 import jax
 import numpy as np
 
+from hrljax import checks
 from hrljax.envs import contract
 from hrljax.envs.base import Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_declarations, check_types, check_values
@@ -38,8 +39,7 @@ def check(env: Environment[Any, Any], params: Any = None) -> None:
         TypeError, ValueError: what is wrong first; the message names the method, the value, and where it
             can the state and the action.
     """
-    if not isinstance(env, Environment):
-        raise TypeError(f"env must be an environment such as hrljax.make('Bus'), got {env!r}")
+    checks.instance("env", env, Environment, "an environment such as hrljax.make('Bus')")
     check_declarations(env)
     numbers = _checked_numbers(env, params)
     try:

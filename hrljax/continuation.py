@@ -48,7 +48,7 @@ def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_epi
     Raises:
         TypeError, ValueError: `start` has not what every run needs.
     """
-    if isinstance(start, Startable):
+    if isinstance(start, Startable) and not isinstance(start, type):
         begin = checked_start(start, env, learner, num_episodes)
         same = jax.tree.map(np.asarray, {"learned": begin.learned, "step_words": begin.step_words})
         rows = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (labels.num_rows, *leaf.shape)), same)

@@ -38,7 +38,7 @@ def checked_start(start: object, env: Any, learner: Learner, num_episodes: int) 
         TypeError: `start` is nothing to start from.
         ValueError: it holds other tables, or too many episodes.
     """
-    if isinstance(start, Startable):
+    if isinstance(start, Startable) and not isinstance(start, type):
         start = start.as_start()
     if not isinstance(start, Start):
         raise TypeError(f"start must be what hrljax.train returned or a hrljax.Learned, got {checks.described(start)}")

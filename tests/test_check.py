@@ -158,6 +158,8 @@ def test_other_arguments_are_refused():
         hrl.check(gymnasium.make("CartPole-v1"))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"env\.slip_probability must be a finite number in \[0, 1\]"):
         hrl.check(Corridor(), Numbers(slip_probability=2.0))
+    with pytest.raises(TypeError, match=r"params must be a Numbers, the numbers of .*, got \{'max_steps': 5\}"):
+        hrl.check(Corridor(), {"max_steps": 5})
 
 
 def test_an_environment_without_a_hash_cannot_be_swept():
