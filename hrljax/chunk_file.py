@@ -81,8 +81,8 @@ def label_of(content: bytes) -> Label:
     expected = _before_field(size) + _digest(text + content[field_ends:])
     if not content.startswith(expected):
         raise ValueError("its checksum does not match")
-    found = json.loads(text)
-    return Label(**{**found, "computed_by": [(count, versions) for count, versions in found["computed_by"]]})
+    fields = json.loads(text)
+    return Label(**{**fields, "computed_by": [(count, versions) for count, versions in fields["computed_by"]]})
 
 
 def _digest(content: bytes) -> bytes:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hrljax import checks
 from hrljax.descriptions import ROOT
-from hrljax.store_attributes import are_of_a_sweep, has_lost_its_root, parsed_root
+from hrljax.store_attributes import FORMAT, has_lost_its_root, is_of_a_sweep, parsed_root
 from hrljax.stored import MENDED, load_store
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     workplace = Path(tempfile.mkdtemp(prefix=path.name + ".", dir=path.parent))
     partial, old = workplace / "new.partial", workplace / "old"
     dataset = dataset.copy()
+    dataset.attrs = {name: value for name, value in dataset.attrs.items() if name not in FORMAT}  # of what was loaded
     for variable in dataset.variables.values():
         variable.encoding = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
     try:
@@ -76,7 +77,7 @@ def load(path: str | Path) -> xr.Dataset:
         raise FileNotFoundError(f"no Zarr store at {path}{lost}") from None
     if root is None:
         raise ValueError(f"the store {path} is damaged: {ROOT}; if it is a sweep's, {MENDED}")
-    return load_store(path, root) if are_of_a_sweep(root.get("attributes")) else _load_saved(path)
+    return load_store(path, root) if is_of_a_sweep(root) else _load_saved(path)
 
 
 def _load_saved(path: Path) -> xr.Dataset:

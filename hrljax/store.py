@@ -110,9 +110,10 @@ class Store:
             try:
                 part = self._chunks.read(chunk)
             except DamagedChunkError as error:
-                for file, reason in error.reasons.items():
-                    damaged.append(f"{self._chunks.where(file, chunk)}: {reason}")
-                    file.unlink()
+                with self._explained():
+                    for file, reason in error.reasons.items():
+                        damaged.append(f"{self._chunks.where(file, chunk)}: {reason}")
+                        file.unlink()
                 left.append(chunk)
                 continue
             begins = chunk.start + part.finished

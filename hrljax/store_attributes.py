@@ -16,6 +16,7 @@ from hrljax.identity import differences
 
 FORMAT = {"store_format": "hrljax sweep", "store_version": NEWEST_VERSION}
 CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS, VERSION = "chunk_size", "complete", "seeds", "settings_digest", "store_version"
+_START = "digest.start"
 
 
 def new_attributes(settings: Mapping[str, Any], chunk_size: int) -> dict[str, Any]:
@@ -41,48 +42,50 @@ def _settings(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 def chunk_size_of(path: str | Path, chunk_size: int | None) -> int | None:
     """The most seeds of a chunk of a store, if it is there and that is what is asked for; else what is asked for."""
-    found = attributes_on_disk(Path(path)) or {}
-    if CHUNK_SIZE in found and (chunk_size is None or min(chunk_size, found[SEEDS]) == found[CHUNK_SIZE]):
-        return found[CHUNK_SIZE]
+    on_disk = attributes_on_disk(Path(path)) or {}
+    if CHUNK_SIZE in on_disk and (chunk_size is None or min(chunk_size, on_disk[SEEDS]) == on_disk[CHUNK_SIZE]):
+        return on_disk[CHUNK_SIZE]
     return chunk_size
 
 
 def continued_attributes(
-    path: Path, found: Mapping[str, Any], new: Mapping[str, Any], allow_other_versions: bool
+    path: Path, on_disk: Mapping[str, Any], new: Mapping[str, Any], allow_other_versions: bool
 ) -> dict[str, Any]:
     """The attributes of a store that another call continues, maybe with more seeds.
 
     Args:
         path: the folder of the store.
-        found: what is there.
+        on_disk: what is there.
         new: what a new store of this call would have.
         allow_other_versions: whether what is there may have been computed under other versions.
 
     Raises:
         ValueError: there is a store of another sweep; the message says what differs.
     """
-    if found[VERSION] not in (FIRST_VERSION, NEWEST_VERSION):
-        raise ValueError(f"the store {path} has version {found[VERSION]} of the format, known are 1 and 2")
-    same = found.get(SETTINGS) == new[SETTINGS]
-    if not same and not _settings(found):
+    if on_disk[VERSION] not in (FIRST_VERSION, NEWEST_VERSION):
+        raise ValueError(f"the store {path} has version {on_disk[VERSION]} of the format, known are 1 and 2")
+    same = on_disk.get(SETTINGS) == new[SETTINGS]
+    if not same and not _settings(on_disk):
         raise ValueError(f"the store {path} has lost its {ROOT}, and its chunks belong to another sweep")
-    wrong = [] if same else differences(_settings(found), _settings(new))
-    if not wrong and new[SEEDS] < found[SEEDS]:
+    wrong = [] if same else differences(_settings(on_disk), _settings(new))
+    if not wrong and new[SEEDS] < on_disk[SEEDS]:
         raise ValueError(
-            f"the store {path} has {found[SEEDS]} seeds, more than seeds={new[SEEDS]}; "
-            f"ask for seeds={found[SEEDS]} and select some, as in dataset.sel(seed=slice({new[SEEDS] - 1}))"
+            f"the store {path} has {on_disk[SEEDS]} seeds, more than seeds={new[SEEDS]}; "
+            f"ask for seeds={on_disk[SEEDS]} and select some, as in dataset.sel(seed=slice({new[SEEDS] - 1}))"
         )
-    wrong += differences({CHUNK_SIZE: found[CHUNK_SIZE]}, {CHUNK_SIZE: new[CHUNK_SIZE]})
+    wrong += differences({CHUNK_SIZE: on_disk[CHUNK_SIZE]}, {CHUNK_SIZE: new[CHUNK_SIZE]})
     packages = [versions.PREFIX + package for package in versions.COMPUTING if not allow_other_versions]
-    other = differences({name: found.get(name) for name in packages}, {name: new[name] for name in packages})
+    other = differences({name: on_disk.get(name) for name in packages}, {name: new[name] for name in packages})
     if wrong or other:
         way_out = "" if wrong else "; allow_other_versions=True continues it nevertheless, and records both"
+        if on_disk[SEEDS] != new[SEEDS] and {_START} <= {*on_disk} & {*new} and on_disk[_START] != new[_START]:
+            way_out = f"; a store whose runs start from a dataset keeps its number of seeds, {on_disk[SEEDS]}"
         raise ValueError(f"the store {path} belongs to another sweep: {'; '.join(wrong + other)}{way_out}")
-    others = {name: value for name, value in found.items() if name == VERSION or name not in new}
-    attributes = versions.recorded({**new, **others}, versions.from_attributes(found))
-    if new[SEEDS] == found[SEEDS]:
-        attributes[COMPLETE] = found.get(COMPLETE, 0)
-    return {name: value for name, value in attributes.items() if name != SETTINGS or name in found}
+    others = {name: value for name, value in on_disk.items() if name == VERSION or name not in new}
+    attributes = versions.recorded({**new, **others}, versions.from_attributes(on_disk))
+    if new[SEEDS] == on_disk[SEEDS]:
+        attributes[COMPLETE] = on_disk.get(COMPLETE, 0)
+    return {name: value for name, value in attributes.items() if name != SETTINGS or name in on_disk}
 
 
 def attributes_on_disk(path: Path) -> dict[str, Any] | None:
@@ -106,18 +109,23 @@ def attributes_on_disk(path: Path) -> dict[str, Any] | None:
     except OSError as error:
         raise with_reason(error, path, "the store cannot be opened") from error
     root = parsed_root(content)
-    attributes = _attributes_from_labels(path) if root is None else root.get("attributes")
-    if are_of_a_sweep(attributes):
-        return attributes
+    if root is not None and is_of_a_sweep(root):
+        return root["attributes"]
+    recovered = None if root is not None else _attributes_from_labels(path)
+    if recovered is not None:
+        return recovered
     message = f"{path} exists and was not written by hrljax.sweep(store=...)"
     if root is None and has_lost_its_root(path):
         message = f"{path} has lost its {ROOT}, or it is damaged, and no chunk tells which sweep it belongs to"
     raise FileExistsError(f"{message}; it is left alone")
 
 
-def are_of_a_sweep(attributes: Any) -> bool:
-    """Whether attributes are those of a sweep's store."""
-    return isinstance(attributes, dict) and attributes.get("store_format") == FORMAT["store_format"]
+def is_of_a_sweep(root: Mapping[str, Any]) -> bool:
+    """Whether a root's file is that of a sweep's store, and not of what somebody saved after loading one."""
+    attributes = root.get("attributes")
+    if not isinstance(attributes, dict) or attributes.get("store_format") != FORMAT["store_format"]:
+        return False
+    return "consolidated_metadata" in root and {VERSION, SEEDS, CHUNK_SIZE} <= set(attributes)
 
 
 def parsed_root(content: bytes) -> dict[str, Any] | None:

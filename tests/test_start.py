@@ -12,6 +12,8 @@ import pytest
 import xarray as xr
 
 import hrljax as hrl
+from hrljax.continuation import continuation
+from hrljax.labels import Labels
 from tests.maps import SMALL
 
 MAZE = hrl.make("Maze")
@@ -119,6 +121,17 @@ def test_a_store_knows_what_its_sweep_started_from(halves: tuple[xr.Dataset, ...
     np.testing.assert_array_equal(hrl.load(tmp_path / "store")["return"], rest["return"].sel(seed=[0, 1]))
     with pytest.raises(ValueError, match=r"digest\.start"):
         hrl.sweep(SMALL, learner, start=rest.assign_attrs(first.attrs), **options)
+    with pytest.raises(ValueError, match="a store whose runs start from a dataset keeps its number of seeds, 2"):
+        hrl.sweep(SMALL, learner, start=first, **(options | {"seeds": 3}))
+
+
+def test_a_store_whose_runs_start_alike_takes_more_seeds(halves: tuple[xr.Dataset, ...]):
+    """Their number is not part of what they start with."""
+    first, _, _, learner = halves
+    one = hrl.Learned.of(first, SMALL, learner, seed=1, at={"pseudo_reward": 5.0})
+    labels = [Labels({}, seeds, {}, {}) for seeds in (2, 3)]
+    few, many = (continuation(one, SMALL, one.learner, label, SECOND).digest() for label in labels)
+    assert few == many
 
 
 def test_starts_that_do_not_fit_are_refused_before_anything_is_compiled(halves: tuple[xr.Dataset, ...]):

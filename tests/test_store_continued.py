@@ -270,6 +270,16 @@ def test_arrays_without_description_are_read_all_the_same(copy: Path):
     xr.testing.assert_equal(hrljax.load(copy), sweep())
 
 
+def test_what_is_loaded_and_saved_is_no_store(copy: Path, tmp_path: Path):
+    loaded, saved, old = hrljax.load(copy), tmp_path / "saved.zarr", tmp_path / "old.zarr"
+    hrljax.save(loaded, saved)
+    loaded.to_zarr(old, consolidated=False)  # as it was saved before
+    for path in (saved, old):
+        xr.testing.assert_equal(hrljax.load(path), loaded)
+        with pytest.raises(FileExistsError, match="was not written by hrljax"):
+            sweep(store=path)
+
+
 def test_chunk_files_are_plain_gzip(copy: Path):
     """Any program reads them; what is in the header is skipped."""
     steps = np.frombuffer(gzip.decompress((copy / "steps" / "c" / "1" / "2").read_bytes()), "<f8")
@@ -285,57 +295,56 @@ def test_other_versions_have_to_be_allowed(copy: Path, monkeypatch: pytest.Monke
         if file.parts[-3:-1] == ("c", "1") or file.parts[-4:-2] == ("c", "1"):
             file.unlink()
     before = contents(copy)
-    here = versions.installed()
+    installed = versions.installed()
     of_other_versions(monkeypatch, jax="99.1", numpy="88.2")
-    message = (
-        rf"belongs to another sweep: version.jax is '{here['jax']}' there and '99.1' here; allow_other_versions=True"
-    )
-    with pytest.raises(ValueError, match=message):
+    ours = installed["jax"]
+    way_out = "here; allow_other_versions=True continues it nevertheless"
+    with pytest.raises(ValueError, match=rf"another sweep: version.jax is '{ours}' there and '99.1' {way_out}"):
         sweep(store=copy)
     with pytest.raises(ValueError, match=r"num_episodes is 12 there and 13 here; version.jax is .* '99.1' here$"):
         sweep(store=copy, num_episodes=13)
     assert contents(copy) == before
-    found = sweep(store=copy, allow_other_versions=True)
+    swept = sweep(store=copy, allow_other_versions=True)
     loaded = hrljax.load(copy)
-    for dataset in (found, loaded, xr.open_zarr(copy)):
-        assert dataset.attrs["version.jax"] == f"{here['jax']}, 99.1"
-        assert dataset.attrs["version.jaxlib"] == here["jaxlib"]
-        assert json.loads(dataset.attrs["versions"]) == [here, versions.installed()]
-    xr.testing.assert_equal(found, loaded)
-    np.testing.assert_array_equal(found["version_set"], [[0] * 5, [1] * 5])
-    xr.testing.assert_equal(found.drop_vars("version_set"), sweep())
-    with pytest.raises(ValueError, match=rf"version.jax is '{here['jax']}, 99.1' there and '99.1' here; allow_other"):
+    for dataset in (swept, loaded, xr.open_zarr(copy)):
+        assert dataset.attrs["version.jax"] == f"{ours}, 99.1"
+        assert dataset.attrs["version.jaxlib"] == installed["jaxlib"]
+        assert json.loads(dataset.attrs["versions"]) == [installed, versions.installed()]
+    xr.testing.assert_equal(swept, loaded)
+    np.testing.assert_array_equal(swept["version_set"], [[0] * 5, [1] * 5])
+    xr.testing.assert_equal(swept.drop_vars("version_set"), sweep())
+    with pytest.raises(ValueError, match=rf"version.jax is '{ours}, 99.1' there and '99.1' {way_out}"):
         sweep(store=copy)
 
 
 def test_seeds_of_one_chunk_may_have_two_versions(copy: Path, monkeypatch: pytest.MonkeyPatch):
     of_other_versions(monkeypatch, jaxlib="99.1")
-    found = sweep(store=copy, seeds=7, allow_other_versions=True)
-    np.testing.assert_array_equal(found["version_set"], [[0] * 5 + [1] * 2] * 2)
-    xr.testing.assert_equal(hrljax.load(copy), found)
+    swept = sweep(store=copy, seeds=7, allow_other_versions=True)
+    np.testing.assert_array_equal(swept["version_set"], [[0] * 5 + [1] * 2] * 2)
+    xr.testing.assert_equal(hrljax.load(copy), swept)
 
 
 def test_what_is_read_keeps_its_versions(five: dict[str, bytes | None], copy: Path, monkeypatch: pytest.MonkeyPatch):
     """A finished store computes nothing; versions that cannot change a number need no permission, but are told."""
-    here = versions.installed()
+    installed = versions.installed()
     of_other_versions(monkeypatch, jax="99.1", numpy="88.2")
-    assert sweep(store=copy, allow_other_versions=True).attrs["version.jax"] == here["jax"]
+    assert sweep(store=copy, allow_other_versions=True).attrs["version.jax"] == installed["jax"]
     assert contents(copy) == five
     monkeypatch.undo()
     of_other_versions(monkeypatch, numpy="88.2")
-    assert sweep(store=copy).attrs["version.numpy"] == here["numpy"]
+    assert sweep(store=copy).attrs["version.numpy"] == installed["numpy"]
     assert contents(copy) == five
-    assert sweep(store=copy, seeds=7).attrs["version.numpy"] == f"{here['numpy']}, 88.2"
+    assert sweep(store=copy, seeds=7).attrs["version.numpy"] == f"{installed['numpy']}, 88.2"
 
 
 def test_versions_that_computed_nothing_are_forgotten(copy: Path, monkeypatch: pytest.MonkeyPatch):
     of_other_versions(monkeypatch, jax="99.1")
     for file in (copy / "steps").rglob("*/*/*"):
         file.unlink(missing_ok=True) if file.is_file() else None
-    found = sweep(store=copy, allow_other_versions=True)
-    assert found.attrs["version.jax"] == hrljax.load(copy).attrs["version.jax"] == "99.1"
-    assert "versions" not in found.attrs
-    assert "version_set" not in found
+    swept = sweep(store=copy, allow_other_versions=True)
+    assert swept.attrs["version.jax"] == hrljax.load(copy).attrs["version.jax"] == "99.1"
+    assert "versions" not in swept.attrs
+    assert "version_set" not in swept
 
 
 # The first version of the format
@@ -367,9 +376,9 @@ def test_the_first_version_records_other_versions(old: Path, monkeypatch: pytest
     """Which of them computed what, its files cannot tell."""
     of_other_versions(monkeypatch, jax="99.1")
     (old / "steps" / "c" / "0" / "0").unlink()
-    found = sweep(store=old, allow_other_versions=True)
-    xr.testing.assert_equal(found, hrljax.load(old))
-    assert len(json.loads(found.attrs["versions"])) == len(json.loads(hrljax.load(old).attrs["versions"])) == 2
+    swept = sweep(store=old, allow_other_versions=True)
+    xr.testing.assert_equal(swept, hrljax.load(old))
+    assert len(json.loads(swept.attrs["versions"])) == len(json.loads(hrljax.load(old).attrs["versions"])) == 2
 
 
 def test_a_version_that_is_not_known_is_refused(copy: Path):
