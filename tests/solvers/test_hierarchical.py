@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrljax.envs.bus import Bus
+from hrljax.envs.gridworld import Gridworld
 from hrljax.envs.maze import Maze
 from hrljax.envs.taxi import Taxi
 from hrljax.evaluate import HierarchicalPolicy, expected_return
@@ -335,10 +336,20 @@ def test_where_no_recursively_optimal_policy_exists_the_other_two_do(method):
     with pytest.raises(NoBestPolicyError, match=why):
         recursively_optimal(*problem[:3], method=method)
     for options in ({"pseudo_reward": 10.0}, {"discount": 0.5}):
-        there = solve_hierarchy(*problem, method=method, **options)
-        assert there.recursive.why_missing is None
-        assert np.isfinite(there.recursive.mean)
+        other = solve_hierarchy(*problem, method=method, **options)
+        assert other.recursive.why_missing is None
+        assert np.isfinite(other.recursive.mean)
     assert solve_hierarchy(*problem, method=method, pseudo_reward=10.0).recursive.mean == -5
+
+
+def test_four_rooms_have_no_recursively_optimal_policy_without_a_pseudo_reward():
+    """The nearest hallway is as good as any to leave a room by."""
+    env = Gridworld()
+    with pytest.warns(RuntimeWarning, match="no recursively optimal policy"):
+        found = solved(env)
+    assert (found.optimal.mean, found.hierarchical.mean) == pytest.approx((-20, -20))
+    assert np.isnan(found.recursive.mean)
+    assert solved(env, pseudo_reward=10.0).recursive.mean == pytest.approx(-20)
 
 
 def test_a_policy_that_earns_for_ever_is_told_of():
