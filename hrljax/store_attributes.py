@@ -125,7 +125,8 @@ def is_of_a_sweep(root: Mapping[str, Any]) -> bool:
     attributes = root.get("attributes")
     if not isinstance(attributes, dict) or attributes.get("store_format") != FORMAT["store_format"]:
         return False
-    return "consolidated_metadata" in root and {VERSION, SEEDS, CHUNK_SIZE} <= set(attributes)
+    lists_arrays = isinstance(root.get("consolidated_metadata"), dict)  # some Zarrs write null where there is no list
+    return lists_arrays and {VERSION, SEEDS, CHUNK_SIZE} <= set(attributes)
 
 
 def parsed_root(content: bytes) -> dict[str, Any] | None:
