@@ -60,8 +60,10 @@ def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_epi
         raise TypeError(
             f"start must be a dataset of hrljax.sweep(..., keep_learned=True) or a hrljax.Learned, got {start!r}"
         )
-    runs = _runs(start, labels, {"environment": env.name, "learner": learner.name})
-    named = {str(name): _rows(runs[name], labels) for name in runs if str(name).startswith(LEARNED)}
+    check_origin("start", start, env, learner)
+    names = names_of_tables("start", start)
+    runs = _runs(start, labels)
+    named = {name: _rows(runs[name], labels) for name in names}
     learned = tree_of(learned_shapes(env, learner), named, (labels.num_rows,))
     rows = {"learned": learned, "step_words": step_words(_rows(runs["steps"], labels))}
     first = Start(episodes=episodes_of(start), **jax.tree.map(lambda leaf: leaf[0], rows))
@@ -69,13 +71,24 @@ def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_epi
     return Continuation(first.episodes, rows)
 
 
-def _runs(start: xr.Dataset, labels: Labels, names: dict[str, str]) -> xr.Dataset:
-    """Of the runs in a dataset, those that the runs of a sweep start from."""
-    wrong = differences({name: start.attrs.get(name) for name in names}, names)
+def check_origin(what: str, dataset: xr.Dataset, env: Any, learner: Learner) -> None:
+    """Raises ValueError for the dataset of another learner or environment; messages call it `what`."""
+    names = {"environment": env.name, "learner": learner.name}
+    wrong = differences({name: dataset.attrs.get(name) for name in names}, names)
     if wrong:
-        raise ValueError(f"start is of another sweep: {'; '.join(wrong)}")
-    if not any(str(name).startswith(LEARNED) for name in start):
-        raise ValueError("start has no tables; sweep with keep_learned=True")
+        raise ValueError(f"{what} is of another sweep: {'; '.join(wrong)}")
+
+
+def names_of_tables(what: str, dataset: xr.Dataset) -> list[str]:
+    """The variables of a dataset that are learned tables; raises ValueError, which calls it `what`, without any."""
+    tables = [str(name) for name in dataset if str(name).startswith(LEARNED)]
+    if not tables:
+        raise ValueError(f"{what} has no tables; sweep with keep_learned=True")
+    return tables
+
+
+def _runs(start: xr.Dataset, labels: Labels) -> xr.Dataset:
+    """Of the runs in a dataset, those that the runs of a sweep start from."""
     wanted = {str(dim): labels.coordinates.get(str(dim)) for dim in start["steps"].dims}
     for dim, values in wanted.items():
         if values is None:

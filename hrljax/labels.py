@@ -38,6 +38,10 @@ class Labels(NamedTuple):
     coordinates_of_run: dict[str, np.ndarray]
     variables: dict[str, Variable]
 
+    def after(self, episodes: int) -> Labels:
+        """The same of runs that have learned from some episodes before: every coordinate of a run counts episodes."""
+        return self._replace(coordinates_of_run={n: ends + episodes for n, ends in self.coordinates_of_run.items()})
+
     @property
     def dims(self) -> tuple[str, ...]:
         """Dimensions of runs."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hrljax import checks
-from hrljax.continuation import episodes_of
+from hrljax.continuation import check_origin, episodes_of, names_of_tables
 from hrljax.envs.base import Environment
 from hrljax.envs.registry import make, registered
 from hrljax.files import write_atomically
@@ -25,7 +25,7 @@ from hrljax.identity import as_attribute, differences, hierarchy_digest, options
 from hrljax.learners.base import Learner, Moment, Settings
 from hrljax.learners.option_set import Options
 from hrljax.policy import Policy, from_hierarchical
-from hrljax.start import LEARNED, Start, described, learned_shapes, named_leaves, step_words, tree_of
+from hrljax.start import Start, described, learned_shapes, named_leaves, step_words, tree_of
 from hrljax.work import ENV_PREFIX
 
 if TYPE_CHECKING:
@@ -93,20 +93,15 @@ class Learned:
         axes = [str(dim) for dim in dataset["steps"].dims if dim != "seed"]
         if set(at) != set(axes):
             raise ValueError(f"at must give a value for each of {axes}, got {at}")
-        names = {"environment": env.name, "learner": learner.name}
-        wrong = differences({name: dataset.attrs.get(name) for name in names}, names)
-        if wrong:
-            raise ValueError(f"the dataset is of another sweep: {'; '.join(wrong)}")
+        check_origin("the dataset", dataset, env, learner)
         point = {"seed": _on_grid("seed", seed, dataset)}
         point |= {axis: _on_grid(f"at: {axis}", at[axis], dataset, axis) for axis in axes}
         run = dataset.sel(point)
         if not np.isfinite(run["steps"]):
             raise ValueError(f"the run of seed {seed} at {at} is not finished")
         learner = learner.replaced({name: value for name, value in at.items() if not name.startswith(ENV_PREFIX)})
-        found = {str(name): run[name].values for name in run if str(name).startswith(LEARNED)}
-        if not found:
-            raise ValueError("the dataset has no tables; sweep with keep_learned=True")
-        tables = tree_of(learned_shapes(env, learner), found)
+        named = {name: run[name].values for name in names_of_tables("the dataset", run)}
+        tables = tree_of(learned_shapes(env, learner), named)
         return cls(env, learner, tables, episodes=episodes_of(dataset), steps=int(run["steps"]))
 
     def as_start(self) -> Start:

@@ -275,12 +275,13 @@ def check(
     if start is not None:
         begin = continuation(start, env, learner, labels, num_episodes)
         job = dataclasses.replace(job, first_episode=begin.episodes)
-        labels, attributes = _labels(job, columns, seeds), attributes | begin.attributes()
+        labels = labels.after(begin.episodes)
+        attributes |= begin.attributes()
     return Checked(job, labels, root_key, resolved, attributes, begin)
 
 
 def _labels(job: Job, columns: dict[str, list[float]], seeds: int) -> Labels:
-    ends = job.first_episode + np.cumsum(bin_sizes(job.num_episodes, job.bin_size))
+    ends = np.cumsum(bin_sizes(job.num_episodes, job.bin_size))
     number = np.dtype(np.float64)
     coordinates = {"episode": ends}
     variables = {name: Variable(("episode",), (len(ends),), number, describe(name)) for name in metric_names(job.env)}

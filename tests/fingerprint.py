@@ -1,7 +1,7 @@
 """A fingerprint of results: digests of what many learners do and learn, to show which numbers a change has changed.
 
-    python tests/fingerprint.py            # computes every case again and prints what differs from the record
-    python tests/fingerprint.py --write    # makes the record
+    python -m tests.fingerprint            # computes every case again and prints what differs from the record
+    python -m tests.fingerprint --write    # makes the record
 
 Only names that users have are needed, and a learned table is known by its numbers alone, so that modules, fields
 and shapes inside the library may change.
@@ -24,19 +24,11 @@ import optax
 
 import hrljax as hrl
 from hrljax.interop.gymnasium import from_table
+from tests.maps import SMALL
 
 RECORD = Path(__file__).parent / "data" / "fingerprint.json"
 LEARNED = "learned"
 """How names of variables begin that hold tables."""
-BUS = """\
-+---+---+---+---+
-| 1   1P| 2   2 |
-+   +   +   +   +
-| 1S  1 A 2   2P|
-+---+   +---+ B +
-| 3   3   4   4 |
-+---+---+---+---+
-"""
 ROOMS = "S....P\n.S.#..\n..S...\nP....G\n"
 
 
@@ -55,10 +47,6 @@ class Case(NamedTuple):
 @cache
 def make(name: str, **options: Any) -> Any:
     return hrl.make(name, **options)
-
-
-def small_bus() -> Any:
-    return make("Bus", map=BUS)
 
 
 def rooms() -> Any:
@@ -95,8 +83,8 @@ USUAL: dict[str, Any] = {"step_size": 0.3, "epsilon": 0.2, "discount": 0.95, "in
 def _of_bus(learner: Callable[..., Any], **options: Any) -> Case:
     """A hierarchical learner on a small Bus domain."""
     axes = options.pop("axes", {})
-    learner = learner(small_bus().hierarchy(), **USUAL | options)
-    return Case(small_bus(), learner, {"max_steps": 80}, axes)
+    learner = learner(SMALL.hierarchy(), **USUAL | options)
+    return Case(SMALL, learner, {"max_steps": 80}, axes)
 
 
 def _of_rooms(learner: Callable[..., Any], **options: Any) -> Case:
@@ -124,7 +112,7 @@ CASES: dict[str, Callable[[], Case]] = {
         num_episodes=60,
     ),
     "SARSA, small Bus, evaluated": lambda: Case(
-        small_bus(), hrl.SARSA(**USUAL), {"max_steps": 80}, {"step_size": [0.1, 0.9]}, evaluate_every=10
+        SMALL, hrl.SARSA(**USUAL), {"max_steps": 80}, {"step_size": [0.1, 0.9]}, evaluate_every=10
     ),
     "SARSA(lambda), cliff": lambda: Case(
         make("Gridworld", map="cliff"), hrl.SARSALambda(trace="accumulating", trace_length=9, **USUAL), SLIPPERY

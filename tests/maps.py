@@ -1,8 +1,10 @@
 """A Bus domain small enough to compile and solve in a moment, with everything that the large one has."""
 
-from hrljax.envs.bus import Bus
+import hrljax
 
-SMALL = Bus("""\
+SMALL = hrljax.make(
+    "Bus",
+    map="""\
 +---+---+---+---+
 | 1   1P| 2   2 |
 +   +   +   +   +
@@ -10,4 +12,5 @@ SMALL = Bus("""\
 +---+   +---+ B +
 | 3   3   4   4 |
 +---+---+---+---+
-""")
+""",
+)

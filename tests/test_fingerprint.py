@@ -8,7 +8,7 @@ from tests import fingerprint
 
 @pytest.mark.parametrize("name", [name for name in fingerprint.CASES if name not in fingerprint.LONG_TO_COMPILE])
 def test_results_are_as_recorded(name: str):
-    """Those that compile for long are compared by ``python tests/fingerprint.py``, which names what differs, too."""
+    """Those that compile for long are compared by ``python -m tests.fingerprint``, which names what differs, too."""
     assert not fingerprint.differences(fingerprint.recorded()[name], fingerprint.fingerprint(name))
 
 
