@@ -24,11 +24,12 @@ import numpy as np
 import tyro
 
 import hrljax as hrl
-from hrljax import batch
+from hrljax.engine import batch
 from hrljax.envs.base import concrete_params
 from hrljax.envs.outcomes import outcome_table
 from hrljax.experiments import program
-from hrljax.learners.task_tables import planning_points, tabulate
+from hrljax.hierarchy.tables import tabulate
+from hrljax.learners.roots.decision_points import planning_points
 
 program.require("bench", "numba", "simple_rl")
 

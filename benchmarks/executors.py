@@ -21,7 +21,8 @@ from typing import Any
 import tyro
 
 import hrljax as hrl
-from hrljax import batch, workers
+from hrljax.engine import batch
+from hrljax.sweeps import processes
 
 ENV = hrl.make("Bus")
 LEARNER = hrl.QLearning(initial_value=-25.0)
@@ -77,7 +78,7 @@ def main(options: Options) -> None:
     with ExitStack() as stack:
         executors = {
             **{("threads", n): Timed(stack.enter_context(ThreadPoolExecutor(n))) for n in counts},
-            **{("processes", n): Timed(stack.enter_context(workers.processes(n))) for n in counts},
+            **{("processes", n): Timed(stack.enter_context(processes.processes(n))) for n in counts},
         }
 
         def sweep(name: str, cores: int, key: int) -> tuple[float, float]:

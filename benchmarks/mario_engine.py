@@ -18,7 +18,7 @@ not inflate; a tick costs about 0.5 microseconds):
   may not inline, with one word of bits as its result, so that no probe is repeated in a consumer.
 * Decay on integers (exact, subnormal numbers included) is some 30 integer instructions a sprite.
 * The compiler option ``xla_cpu_copy_insertion_use_region_analysis`` must be off for the engine
-  (`hrljax.envs.mario.native`): it drops copies that are needed, and sprites differ from the original's.
+  (`hrljax.engine.compiler.nested_options`): it drops copies that are needed, and sprites differ from the original's.
   A version in which every counter waits for the inner loops ran 7 % faster with it, but still went
   wrong where sprites hit each other.
 * Under vmap every game runs all loops as long as the slowest one of the batch, and every rare part;
@@ -42,13 +42,14 @@ import numpy as np
 import tyro
 from jax import Array, lax
 
-from hrljax import batch, random
-from hrljax.envs.mario.course import Course, make_course, start
-from hrljax.envs.mario.generator import generate_level
-from hrljax.envs.mario.native import engine_options
-from hrljax.envs.mario.sprite_list import when
-from hrljax.envs.mario.state import JUMP, LEFT, RIGHT, SPEED, World
-from hrljax.envs.mario.tick import tick
+from hrljax.core import random
+from hrljax.engine import batch
+from hrljax.engine.compiler import nested_options
+from hrljax.envs.mario.engine.course import Course, make_course, start
+from hrljax.envs.mario.engine.sprite_list import when
+from hrljax.envs.mario.engine.state import JUMP, LEFT, RIGHT, SPEED, World
+from hrljax.envs.mario.engine.tick import tick
+from hrljax.envs.mario.levels.generator import generate_level
 
 try:
     from benchmarks.rounds import Contestant, measure
@@ -139,7 +140,7 @@ def vmapped(course: Course, size: int, ticks: int, cores: int) -> Contestant:
     """A batch of games in lock-step; XLA decides about cores."""
     seeds = jnp.arange(size, dtype=jnp.uint32)
     began = time.perf_counter()
-    batched = jax.jit(jax.vmap(play, (None, 0, None)), compiler_options=engine_options())
+    batched = jax.jit(jax.vmap(play, (None, 0, None)), compiler_options=nested_options())
     compiled = batched.lower(course, seeds, jnp.int32(ticks)).compile()
     seconds = time.perf_counter() - began
 
@@ -168,7 +169,7 @@ def main(options: Options) -> None:
     levels = [generate_level(FIRST_SEED + i, 0, 3) for i in range(NUM_LEVELS)]
     course = jax.tree.map(jnp.asarray, make_course(*levels))
     began = time.perf_counter()
-    lowered = jax.jit(play, compiler_options=engine_options()).lower(course, jnp.uint32(0), jnp.int32(1))
+    lowered = jax.jit(play, compiler_options=nested_options()).lower(course, jnp.uint32(0), jnp.int32(1))
     compiled = lowered.compile()
     seconds = time.perf_counter() - began
     contestants = [native(course, compiled, seconds, cores, options.ticks) for cores in sorted({1, options.cores})]

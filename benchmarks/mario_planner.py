@@ -29,9 +29,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from hrljax import batch
+from hrljax.engine import batch
 from hrljax.experiments import program
-from hrljax.planners.best_first import best_first_search
+from hrljax.search.best_first import best_first_search
 
 program.require("bench", "numba", "sklearn")
 

@@ -25,12 +25,12 @@ import numpy as np
 import tyro
 from jax import lax
 
-from hrljax import xla
+from hrljax.engine import compiler
 from hrljax.envs.mario.env import ALL_ACTIONS
 from hrljax.envs.mario.recordings import read_episodes
-from hrljax.envs.mario.transitions import INPUT_CATEGORIES, TARGETS, Transitions, read_transitions
 from hrljax.experiments import program
-from hrljax.models.regression_tree import RegressionTree, Trees, predict
+from hrljax.experiments.mario_fidelity.transitions import INPUT_CATEGORIES, TARGETS, Transitions, read_transitions
+from hrljax.trees.regression_tree import RegressionTree, Trees, predict
 
 program.require("bench", "sklearn")
 
@@ -195,7 +195,7 @@ def main(options: Options) -> None:
     recorded = read_transitions(read_episodes(options.recordings))
     held = recorded.episodes % 5 == 0
     train, test = (Transitions(*(values[rows] for values in recorded)) for rows in (~held, held))
-    contestants = [hrljax(dict(xla.OPTIONS), "hrljax native"), hrljax(None, "hrljax plain jit"), scikit_learn()]
+    contestants = [hrljax(dict(compiler.OPTIONS), "hrljax native"), hrljax(None, "hrljax plain jit"), scikit_learn()]
     if Orange is not None:
         contestants.append(orange())
     count = 4 * NUM_ACTIONS + 1

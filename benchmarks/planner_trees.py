@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array, lax
 from sklearn.tree import DecisionTreeRegressor
 
-from hrljax.numerics import take
+from hrljax.core.numerics import take
 
 ACTIONS, HEIGHT, WIDTH, PATCH, MAX_DEPTH = 9, 16, 21, 5, 12
 MARGIN = PATCH // 2
@@ -116,7 +116,7 @@ def packed(fitted: list[DecisionTreeRegressor]) -> Trees:
 
 
 def model(trees: Trees, screen: Array) -> Callable[[Node, Array], tuple[Node, Array]]:
-    """The trees as a model for `hrljax.planners.best_first`: five descents at a time."""
+    """The trees as a model for `hrljax.search.best_first`: five descents at a time."""
     num_trees, capacity = trees.words.shape
     words, numbers = (values.reshape(-1) for values in trees)
 

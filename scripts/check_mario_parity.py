@@ -7,9 +7,10 @@ from pathlib import Path
 
 import interruptible  # noqa: F401
 
-from hrljax.envs.mario import drift, parity, recordings
-from hrljax.envs.mario.quantum import check_quantum
+from hrljax.envs.mario import recordings
+from hrljax.envs.mario.engine.quantum import check_quantum
 from hrljax.experiments import program
+from hrljax.experiments.mario_fidelity import drift, parity
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import interruptible  # noqa: F401
 
-from hrljax import results
-from hrljax.batch import Mapping
+from hrljax.engine.batch import Mapping
 from hrljax.experiments import figure_4_2, program
 from hrljax.experiments.rows import curves_csv
+from hrljax.sweeps import io
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def main(options: Options) -> int:
     for curve, dataset in program.until_interrupted(curves):
         finished.append((curve, dataset))
         rows.append(figure_4_2.summary_row(curve, dataset))
-        results.save(dataset, options.out / "curves" / f"{len(rows):02d}.zarr")
+        io.save(dataset, options.out / "curves" / f"{len(rows):02d}.zarr")
         row = rows[-1]
         print(f"{row['name']:>36} {row['mean_return']:8.2f}  {row['seconds']:6.1f} s", file=sys.stderr, flush=True)
     program.write_summary(options.out, {"exact": exact, "curves": rows})

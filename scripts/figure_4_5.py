@@ -6,9 +6,9 @@ from pathlib import Path
 
 import interruptible  # noqa: F401
 
-from hrljax import results
 from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.rows import curves_csv
+from hrljax.sweeps import io
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def main(options: Options) -> int:
         if name not in names:
             raise ValueError(f"--methods must be among {', '.join(names)}, got {name!r}")
     stores = {name: options.runs / "curves" / f"{names.index(name):02d}.zarr" for name in options.methods}
-    curves = dict(program.until_interrupted((name, results.load(store)) for name, store in stores.items()))
+    curves = dict(program.until_interrupted((name, io.load(store)) for name, store in stores.items()))
     if not curves:
         return program.ended(options.out)
     options.out.mkdir(parents=True, exist_ok=True)

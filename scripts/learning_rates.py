@@ -6,8 +6,9 @@ from pathlib import Path
 
 import interruptible  # noqa: F401
 
-from hrljax import checks, results
+from hrljax.core import checks
 from hrljax.experiments import learning_rates, learning_rates_pictures, program
+from hrljax.sweeps import io
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def main(options: Options) -> int:
     settings = (options.step_sizes, options.pseudo_rewards, options.seeds, options.scale, options.cores, options.key)
     runs = ((name, *of) for name in options.domains for of in learning_rates.run(known[name], exact[name], *settings))
     for name, learner, dataset in program.until_interrupted(runs):
-        results.save(dataset, options.out / "stores" / f"{name}-{learner}.zarr")
+        io.save(dataset, options.out / "stores" / f"{name}-{learner}.zarr")
         found.setdefault(name, {})[learner] = dataset
         rows += learning_rates.setting_rows(name, learner, dataset)
         best.append(learning_rates.best_row(name, learner, dataset))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import interruptible  # noqa: F401
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.experiments import mario_search, program
 
 

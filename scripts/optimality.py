@@ -6,7 +6,7 @@ from pathlib import Path
 
 import interruptible  # noqa: F401
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.experiments import optimality, program
 from hrljax.experiments.rows import curves_csv
 

@@ -12,10 +12,11 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from hrljax.envs.mario import play, render
+from hrljax.envs.mario import play
+from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.env import Mario, MarioParams
+from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.recordings import LevelId
-from hrljax.envs.mario.tiles import TILE
 from hrljax.experiments import program
 
 
@@ -70,7 +71,7 @@ def main(options: Options) -> int:
             csv.writer(file).writerows([play.COLUMNS, *play.table(steps)])
         shown = [*worlds[:: options.ticks_per_frame], steps[-1].episode.world]
         track = np.array([(world.player.x, world.player.y) for world in worlds])
-        Image.fromarray(render.level_strip(env.level_list[0], 16, 100, track)).save(options.out / "level.png")
+        Image.fromarray(picture.level_strip(env.level_list[0], 16, 100, track)).save(options.out / "level.png")
         last = steps[-1].episode.world
         summary = {
             "policy": options.policy,
@@ -85,7 +86,7 @@ def main(options: Options) -> int:
         }
         program.write_summary(options.out, summary)
         for frames in program.until_interrupted(_frames(env, shown, options.tile_pixels)):
-            render.save_gif(frames, options.out / "game.gif", 24 / options.ticks_per_frame)
+            picture.save_gif(frames, options.out / "game.gif", 24 / options.ticks_per_frame)
         for name, value in summary.items():
             print(f"{name:>10}  {f'{value:.2f}' if isinstance(value, float) else value}")
     return program.ended(options.out)
@@ -104,7 +105,7 @@ def _played(env: Mario, policy: play.Policy, params: MarioParams) -> Iterator[tu
 
 def _frames(env: Mario, worlds: list[Any], tile_pixels: int) -> Iterator[list[np.ndarray]]:
     """The pictures of the one film."""
-    yield [render.screen(env.course, world, tile_pixels) for world in tqdm(worlds, "film", file=sys.stderr)]
+    yield [picture.screen(env.course, world, tile_pixels) for world in tqdm(worlds, "film", file=sys.stderr)]
 
 
 def _game(options: Options) -> tuple[Mario, LevelId, play.Policy]:

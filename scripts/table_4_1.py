@@ -9,12 +9,12 @@ import interruptible  # noqa: F401
 import jax
 from matplotlib.figure import Figure
 
-from hrljax import results
 from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.rows import curves_csv
-from hrljax.learners.relational import RelationalHORDQ
-from hrljax.learners.search_root import SearchRoot
+from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.sweeps import io
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def main(options: Options) -> int:
     curves, rows = {}, []
     for of_sweep in program.until_interrupted(runs):
         for name, dataset in of_sweep.items():
-            results.save(dataset, options.out / "curves" / f"{len(curves):02d}.zarr")
+            io.save(dataset, options.out / "curves" / f"{len(curves):02d}.zarr")
             curves[name] = dataset
             rows.append(mario_hybrid.summary_row(name, dataset))
     if not rows:

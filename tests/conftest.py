@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from hrljax.envs.bus import Bus
+from hrljax.envs.bus.env import Bus
 from hrljax.solvers.model import Model
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")

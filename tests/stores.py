@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from hrljax.store import Store
+from hrljax.sweeps.store import Store
 from tests.kill_sweep import CALLS
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from hypothesis import strategies as st
 from jax import Array
 
+from hrljax.core.random import uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment
-from hrljax.hierarchy import Hierarchy, Predicate, Subtask
-from hrljax.random import uniform_cuts, uniform_index
+from hrljax.hierarchy.definition import Hierarchy, Predicate, Subtask
 from hrljax.solvers.model import Model
 
 SHARES = 16

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hrljax import random
+from hrljax.core import random
 
 KEY = jax.random.key(11)
 

@@ -17,11 +17,10 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax import checks, random
-from hrljax.envs import contract
+from hrljax.core import checks, contract, random
 from hrljax.envs.checks import check_types
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, first_numbers
-from hrljax.hierarchy import Hierarchy
+from hrljax.hierarchy.definition import Hierarchy
 from hrljax.solvers.model import Model
 
 State = TypeVar("State", bound=Any)

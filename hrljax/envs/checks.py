@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax.envs import contract
+from hrljax.core import contract
 from hrljax.envs.once import once_per_environment
 from hrljax.envs.outcomes import check_computed_outcomes, few_outcomes, outcome_table
 from hrljax.envs.sampled import check_sampled_steps

@@ -10,12 +10,11 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax import random
-from hrljax.envs import contract
+from hrljax.core import contract, random
+from hrljax.core.numerics import stage, take
 from hrljax.envs.occurring import Outcomes, check_outcomes, check_range
 from hrljax.envs.once import once_per_environment
 from hrljax.envs.word_kinds import WordKinds
-from hrljax.numerics import stage, take
 
 _MOST_CUTS = 64
 """More comparisons of random words than these cost what the table saves."""

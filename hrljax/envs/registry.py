@@ -7,13 +7,13 @@ from typing import Any
 
 import gymnasium
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.envs.base import Environment
-from hrljax.envs.bus import Bus
-from hrljax.envs.gridworld import Gridworld
+from hrljax.envs.bus.env import Bus
+from hrljax.envs.grid.gridworld import Gridworld
+from hrljax.envs.grid.maze import Maze
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.maze import Maze
-from hrljax.envs.taxi import Taxi
+from hrljax.envs.taxi.env import Taxi
 
 _ENVIRONMENTS: dict[str, Callable[..., Environment[Any, Any]]] = {}
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hrljax.envs import contract
+from hrljax.core import contract
+from hrljax.core.random import WORD_RANGE
 from hrljax.envs.occurring import allowed_numbers, check_range, outside
-from hrljax.random import WORD_RANGE
 
 _EPISODES, _STEPS = 32, 128
 """Most random episodes for all `params` together, and most steps of one."""

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hrljax import checks
+from hrljax.core import checks
+from hrljax.core.numerics import take, take_row
+from hrljax.core.random import WORD_RANGE
 from hrljax.envs.base import TabularEnvironment
-from hrljax.numerics import take, take_row
-from hrljax.random import WORD_RANGE
 from hrljax.solvers.model import Model, check_model
 
 

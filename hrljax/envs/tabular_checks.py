@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hrljax.envs import contract
+from hrljax.core import contract
 from hrljax.envs.occurring import Outcomes, reached
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, few_outcomes, first_numbers, flagged_step
 from hrljax.solvers.model import Model

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hrljax import random
+from hrljax.core import random
 
 
 class WordKinds:

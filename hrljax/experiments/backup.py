@@ -6,8 +6,8 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
-from hrljax.learners import td
-from hrljax.learners.hierarchical import HORDQ
+from hrljax.learners import updates
+from hrljax.learners.hordq import HORDQ
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class PseudoRewardInBackup(HORDQ):
     name = "HORDQ, pseudo-reward in the backup"
 
     def _target(
-        self, reward: Array, discount: Any, exited: Array, pseudo: Array, follows: td.Parts, zero: Array
-    ) -> td.Parts:
+        self, reward: Array, discount: Any, exited: Array, pseudo: Array, follows: updates.Parts, zero: Array
+    ) -> updates.Parts:
         target = super()._target(reward, discount, exited, pseudo, follows, zero)
         return target._replace(completion=lax.select(exited, pseudo, target.completion), pseudo=jnp.float32(0))

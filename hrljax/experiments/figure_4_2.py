@@ -10,16 +10,17 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hrljax import plots, stats
-from hrljax.envs.bus import Bus, BusParams
-from hrljax.envs.bus_map import KAO_V1
+from hrljax.envs.bus.env import Bus, BusParams
+from hrljax.envs.bus.map import KAO_V1
 from hrljax.experiments.backup import PseudoRewardInBackup
 from hrljax.experiments.rows import interval_row
 from hrljax.learners.base import Learner
 from hrljax.learners.flat import SARSA, QLearning
-from hrljax.learners.hierarchical import HORDQ, MAXQ
-from hrljax.learners.roots import ModelRoot, RandomRoot
+from hrljax.learners.hordq import HORDQ, MAXQ
+from hrljax.learners.roots.model import ModelRoot
+from hrljax.learners.roots.random import RandomRoot
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
-from hrljax.sweep import sweep
+from hrljax.sweeps.sweep import sweep
 
 PANELS = {"model": "(a) model-based root", "random": "(b) random root", "fails": "what fails"}
 WINDOW = 400

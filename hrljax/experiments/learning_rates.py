@@ -10,15 +10,15 @@ import xarray as xr
 
 from hrljax import stats
 from hrljax.envs.base import TabularEnvironment
-from hrljax.envs.bus import Bus
-from hrljax.envs.maze import Maze
-from hrljax.envs.taxi import Taxi
+from hrljax.envs.bus.env import Bus
+from hrljax.envs.grid.maze import Maze
+from hrljax.envs.taxi.env import Taxi
 from hrljax.experiments.rows import interval_row
 from hrljax.learners.base import Learner
 from hrljax.learners.flat import SARSA, QLearning
-from hrljax.learners.hierarchical import HORDQ, MAXQ
+from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
-from hrljax.sweep import sweep
+from hrljax.sweeps.sweep import sweep
 
 SHARE = 0.5
 """Of the way from random actions to the best epsilon-soft policy, for the episodes to reach it."""

@@ -8,10 +8,10 @@ from typing import Any
 from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.mario_search import UNLIMITED
-from hrljax.learners.relational import RelationalHORDQ
-from hrljax.learners.search_root import SearchRoot
-from hrljax.models.mario_model import MarioModel
-from hrljax.sweep import sweep
+from hrljax.learners.relational.learned_model import MarioModel
+from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.sweeps.sweep import sweep
 
 
 @dataclass(frozen=True)

@@ -12,18 +12,19 @@ import xarray as xr
 from jax import Array, lax
 from matplotlib.figure import Figure
 
-from hrljax import batch, stats
+from hrljax import stats
+from hrljax.core.numerics import opaque_zero
+from hrljax.engine import batch
 from hrljax.envs.mario.competition import begin
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.mario.generator import generate_level
-from hrljax.envs.mario.level_ascii import to_ascii
+from hrljax.envs.mario.levels.ascii import to_ascii
+from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.rows import interval_row
-from hrljax.learned import Learned
 from hrljax.learners.base import Moment
-from hrljax.learners.relational import RelationalHORDQ
-from hrljax.numerics import opaque_zero
-from hrljax.sweep import sweep
+from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.sweeps.learned import Learned
+from hrljax.sweeps.sweep import sweep
 
 LEVEL_TYPES = (0, 1, 2)
 """Overground, underground, castle."""

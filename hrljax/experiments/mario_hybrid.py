@@ -11,19 +11,20 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hrljax import plots, stats
-from hrljax.envs.mario import render
+from hrljax.core.numerics import opaque_zero
+from hrljax.engine.train import train
 from hrljax.envs.mario.competition import Episode
+from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.play import Action, Policy, Step, play
-from hrljax.envs.mario.tiles import TILE
 from hrljax.experiments.rows import interval_row
-from hrljax.learners.base import Moment, tabulated
-from hrljax.learners.relational import RelationalHORDQ, Tables
-from hrljax.learners.search_root import SearchRoot
-from hrljax.models.mario_dynamics import MarioDynamics
-from hrljax.numerics import opaque_zero
-from hrljax.sweep import sweep
-from hrljax.train import train
+from hrljax.learners.base import Moment
+from hrljax.learners.hyperparameters import tabulated
+from hrljax.learners.relational.given_model import MarioDynamics
+from hrljax.learners.relational.learner import RelationalHORDQ, Tables
+from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.sweeps.sweep import sweep
 
 PSEUDO_REWARDS = (0.0, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
 FOLLOWS = 1e6
@@ -211,7 +212,7 @@ def _place(steps: list[Step]) -> float:
 def film(agent: Agent, steps: list[Step], path: Any) -> None:
     """A GIF of a game, one picture every second tick."""
     worlds = [world for step in steps for world in step.worlds][::2]
-    render.save_gif((render.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)
+    picture.save_gif((picture.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)
 
 
 def search_picture(agent: Agent, episode: Episode) -> Figure:
@@ -221,7 +222,7 @@ def search_picture(agent: Agent, episode: Episode) -> Figure:
     camera = float(episode.world.camera)
     figure = Figure(figsize=(10, 8), layout="constrained")
     ax = figure.subplots()
-    ax.imshow(render.screen(agent.env.course, episode.world, tile_pixels=pixels, status=False))
+    ax.imshow(picture.screen(agent.env.course, episode.world, tile_pixels=pixels, status=False))
     x = (np.asarray(tree.state.x) - camera) * pixels / TILE
     y = np.asarray(tree.state.y) * pixels / TILE
     parent, number = np.asarray(tree.parent), int(tree.num_nodes)

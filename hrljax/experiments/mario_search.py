@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.mario.level_ascii import to_ascii
+from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.experiments.mario_hybrid import FOLLOWS, environment
-from hrljax.learners.relational import RelationalHORDQ
-from hrljax.learners.search_root import SearchRoot
-from hrljax.models.mario_dynamics import MarioDynamics
-from hrljax.sweep import sweep
+from hrljax.learners.relational.given_model import MarioDynamics
+from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.sweeps.sweep import sweep
 
 UNLIMITED = 1e9
 """A reward that no sequence of actions promises."""

@@ -8,27 +8,28 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from hrljax import plots, stats, task_graphs
-from hrljax.envs import cell_render
+from hrljax import plots, stats
 from hrljax.envs.base import TabularEnvironment
-from hrljax.envs.bus import Bus
-from hrljax.envs.maze import Maze
-from hrljax.envs.taxi import Taxi
+from hrljax.envs.bus.env import Bus
+from hrljax.envs.grid import cell_render
+from hrljax.envs.grid.maze import Maze
+from hrljax.envs.taxi.env import Taxi
 from hrljax.experiments.rows import interval_row
-from hrljax.leaf_covers import inaccessible, total_leaf_cover
+from hrljax.hierarchy import drawing
+from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover
+from hrljax.hierarchy.tables import tabulate
 from hrljax.learners.base import Learner
 from hrljax.learners.dyna import DynaQ
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hamq import HAMQ
-from hrljax.learners.hierarchical import HORDQ, MAXQ, MAXQ0
-from hrljax.learners.option_set import options_from
-from hrljax.learners.options import OptionQ
+from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0
+from hrljax.learners.options.definition import options_from
+from hrljax.learners.options.learner import OptionQ
 from hrljax.learners.rmax import RMax
-from hrljax.learners.roots import ModelRoot
-from hrljax.learners.task_tables import tabulate
+from hrljax.learners.roots.model import ModelRoot
 from hrljax.learners.traces import SARSALambda
 from hrljax.solvers.hierarchical import Optima, solve_hierarchy
-from hrljax.sweep import sweep
+from hrljax.sweeps.sweep import sweep
 
 PEERS = {"MAXQ-Q": (2.06, 1.11), "MAXQ-0": (2.54, 0.52), "HAMQ": (3.15, 0.40)}
 """Mean return of one test episode after 65,536 on Taxi, 200 runs, and its standard error, as published
@@ -208,4 +209,4 @@ def taxi_picture(results: dict[str, xr.Dataset], optimum: float) -> Figure:
 def graph_picture() -> Figure:
     """Taxi's task graph before and after its leaf cover is made total (thesis Figure 3.2)."""
     hierarchy = Taxi().hierarchy()
-    return task_graphs.draw_completion(hierarchy, total_leaf_cover(hierarchy))
+    return drawing.draw_completion(hierarchy, total_leaf_cover(hierarchy))

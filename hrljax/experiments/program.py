@@ -9,7 +9,7 @@ from typing import Any, NoReturn, TypeVar
 
 import tyro
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.experiments.interruption import Interruption, Result, leave
 
 Options = TypeVar("Options")

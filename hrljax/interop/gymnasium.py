@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.envs.base import Environment, check_render_mode
+from hrljax.envs.numpy_values import METADATA, as_element, as_python, metadata_of
 from hrljax.interop import episodes
 from hrljax.interop.gymnasium_table import from_table
 from hrljax.interop.gymnasium_vector import BatchedEnv
-from hrljax.interop.numpy_values import METADATA, as_element, as_python, metadata_of
 
 __all__ = ["BatchedEnv", "SingleEnv", "from_table"]
 

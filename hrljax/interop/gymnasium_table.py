@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.envs.table import Table, TableEnvironment
 from hrljax.solvers.model import Model
 

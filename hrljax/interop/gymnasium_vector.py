@@ -11,10 +11,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.envs.base import Environment, check_render_mode
+from hrljax.envs.numpy_values import METADATA, as_element, entry, metadata_of, widened
 from hrljax.interop import episodes
-from hrljax.interop.numpy_values import METADATA, as_element, entry, metadata_of, widened
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):

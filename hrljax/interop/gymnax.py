@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.envs.base import Environment, TabularEnvironment, check_options, concrete_number
 from hrljax.interop.episodes import made
 from hrljax.interop.gymnax_spaces import box_of_ones, gymnax_space

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.learners import td
+from hrljax.core import choices
+from hrljax.core.numerics import take_row
+from hrljax.hierarchy.layout import Kind, TaskGraph
 from hrljax.learners.base import Learner
-from hrljax.learners.roots import ChildValue
-from hrljax.learners.task_graph import Kind, TaskGraph
-from hrljax.numerics import take_row
+from hrljax.learners.roots.base import ChildValue
 
 Values = Any
 """The values of one child: a tuple of float32 scalars."""
@@ -56,7 +56,7 @@ class ChildValues(Learner):
         """The values of the child in one slot of a row."""
         # Read again: to choose among values that are at hand takes longer.
         stored = take_row(parts, self._start(graph, task, state) + slot * self._size, self._size)
-        own = stored[0] if kind.is_primitive else td.pick([values[0] for values in row], slot)
+        own = stored[0] if kind.is_primitive else choices.pick([values[0] for values in row], slot)
         return (own, *(stored[i] for i in range(1, self._size)))
 
     @property
@@ -79,12 +79,12 @@ class ChildValues(Learner):
             self._worth(values) if can is None else lax.select(can, self._worth(values), never)
             for values, can in zip(row, allowed, strict=True)
         ]
-        return td.greedy(worth)[0], row, allowed
+        return choices.greedy(worth)[0], row, allowed
 
     def _value(self, graph: TaskGraph, parts: Array, kind: Kind, task: Array, state: Array) -> Array:
         """Value of a subtask until it ends, at what it would do itself (thesis eq. 3.3)."""
         best, row, _ = self._best(graph, parts, kind, task, state)
-        return td.pick([self._until_end(values) for values in row], best)
+        return choices.pick([self._until_end(values) for values in row], best)
 
     def _child_value(self, graph: TaskGraph, parts: Array) -> ChildValue:
         def value(task: Array, state: Array) -> Array:

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.counting import count
+from hrljax.core import choices
+from hrljax.core.counting import count
+from hrljax.core.numerics import put_row, take
+from hrljax.core.random import word_block
 from hrljax.envs.base import TabularEnvironment
-from hrljax.learners import td
+from hrljax.learners import samples as model
 from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import StepSizeLearner, row_of
-from hrljax.models import samples as model
-from hrljax.numerics import put_row, take
-from hrljax.random import word_block
 
 
 class DynaTables(NamedTuple):
@@ -81,7 +81,7 @@ class DynaQ(StepSizeLearner):
         self, values: Array, pair: Array, reward: Array, after: Array, terminated: Array, prepared: int, moment: Moment
     ) -> Array:
         """One update of Q-learning."""
-        bootstrap = td.greedy(row_of(values, after, prepared))[1]
+        bootstrap = choices.greedy(row_of(values, after, prepared))[1]
         return self.moved(values, pair, self.target(reward, bootstrap, terminated, moment), moment)
 
     def _remembered(

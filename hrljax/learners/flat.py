@@ -6,11 +6,13 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
+from hrljax.core import choices
+from hrljax.core.numerics import put_row, take, take_row
 from hrljax.envs.base import TabularEnvironment
-from hrljax.evaluate import HierarchicalPolicy, flat_policy
-from hrljax.learners import td
-from hrljax.learners.base import Experience, Hyperparameter, Learner, LearnerState, Moment, at_episode, hyperparameter
-from hrljax.numerics import put_row, take, take_row
+from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
+from hrljax.learners import updates
+from hrljax.learners.base import Experience, Learner, LearnerState, Moment
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 
 
 class ActionValueLearner(Learner):
@@ -43,12 +45,12 @@ class ActionValueLearner(Learner):
 
     def choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
         """The epsilon-greedy action (int32) for the action values of one state; uses one word."""
-        return td.epsilon_greedy(td.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
+        return choices.epsilon_greedy(choices.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
 
     def target(self, reward: Array, bootstrap: Array, terminated: Array, moment: Moment) -> Array:
         """What a value is moved to: ``reward + discount * bootstrap``, no bootstrap where the episode terminated."""
         bootstrap = lax.select(terminated, jnp.float32(0), bootstrap)
-        return td.td_target(reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
+        return updates.td_target(reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class StepSizeLearner(ActionValueLearner):
     def moved(self, values: Array, pair: Array, target: Array, moment: Moment) -> Array:
         """The values after that of one (state, action) pair has moved towards a target."""
         old, step_size = take_row(values, pair, 1), at_episode(self.step_size, moment.episode)
-        return put_row(values, pair, td.increment(old, target[None], step_size, moment.live, moment.zero))
+        return put_row(values, pair, updates.increment(old, target[None], step_size, moment.live, moment.zero))
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class _OneStep(StepSizeLearner):
             action = self.choose(row, words[0], moment)
             bootstrap = take(state.tables, step.next_state * prepared + action)
         else:
-            action, bootstrap = td.greedy(row)
+            action, bootstrap = choices.greedy(row)
         target = self.target(step.reward, bootstrap, step.terminated, moment)
         tables = self.moved(state.tables, step.state * prepared + step.action, target, moment)
         if not self._on_policy:

@@ -5,13 +5,14 @@ from typing import Any
 
 from jax import Array
 
-from hrljax.learners import td
-from hrljax.learners.base import Experience, Moment, at_episode
+from hrljax.core.flags import choose
+from hrljax.core.numerics import put_row, take_row
+from hrljax.hierarchy.layout import TaskGraph
+from hrljax.learners import updates
+from hrljax.learners.base import Experience, Moment
 from hrljax.learners.child_values import Values
-from hrljax.learners.flags import choose
-from hrljax.learners.task_graph import TaskGraph
-from hrljax.learners.task_stack import Control, Ended, StackLearner, readable
-from hrljax.numerics import put_row, take_row
+from hrljax.learners.execution import Control, Ended, StackLearner, readable
+from hrljax.learners.hyperparameters import at_episode
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,8 @@ class HAMQ(StackLearner):
             here = readable(control.tasks[level], ended[level].used)
             its_slot = graph.slot_of_action(level, here, control.action)
             task, slot = choose(ended[level].used, (here, its_slot), (task, slot))
-        target = td.td_target(step.reward, at_episode(self.discount, moment.episode), follows[0], moment.zero)
+        target = updates.td_target(step.reward, at_episode(self.discount, moment.episode), follows[0], moment.zero)
         at = (task * graph.num_states + step.state) * graph.num_slots + slot
         old = take_row(parts, at, 1)
-        new = td.increment(old, target[None], at_episode(self.step_size, moment.episode), moment.live, moment.zero)
+        new = updates.increment(old, target[None], at_episode(self.step_size, moment.episode), moment.live, moment.zero)
         return put_row(parts, at, new)

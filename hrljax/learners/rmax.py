@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.numerics import exact_product, once_if, take
 from hrljax.envs.base import TabularEnvironment
-from hrljax.learners.base import Experience, Hyperparameter, LearnerState, Moment, hyperparameter, once_if
+from hrljax.learners import samples as model
+from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import ActionValueLearner, row_of
-from hrljax.models import samples as model
-from hrljax.numerics import exact_product, take
+from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
 
 
 class RMaxTables(NamedTuple):

@@ -10,11 +10,13 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
+from hrljax.core import choices
+from hrljax.core.numerics import exact_product, put_row, take, take_row
 from hrljax.envs.base import TabularEnvironment
-from hrljax.learners import td
-from hrljax.learners.base import Experience, Hyperparameter, LearnerState, Moment, at_episode, hyperparameter
+from hrljax.learners import updates
+from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import StepSizeLearner, row_of
-from hrljax.numerics import exact_product, put_row, take, take_row
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 
 _NO_PAIR = -1
 _LONGEST = 1 << 24
@@ -84,7 +86,7 @@ class _Traced(StepSizeLearner):
             action = self.choose(row, words[0], moment)
             bootstrap = take(tables.values, step.next_state * prepared + action)
         else:
-            action, bootstrap = td.greedy(row)
+            action, bootstrap = choices.greedy(row)
         target = self.target(step.reward, bootstrap, step.terminated, moment)
         pair = step.state * prepared + step.action
         error = target - take(tables.values, pair)
@@ -93,7 +95,7 @@ class _Traced(StepSizeLearner):
         if not self._on_policy:
             row = row_of(tables.values, step.next_state, prepared)
             action = self.choose(row, words[0], moment)
-            explores = td.pick(row, action) < td.greedy(row)[1]
+            explores = choices.pick(row, action) < choices.greedy(row)[1]
             visits = lax.select(explores, jnp.int32(0), visits)
         return LearnerState(tables, TraceControl(action, visits))
 
@@ -136,7 +138,7 @@ class _Traced(StepSizeLearner):
             has_trace = live & ~replaced & (there != _NO_PAIR)
             entry = lax.select(live & replaced, jnp.int32(_NO_PAIR), there)
             visited = put_row(visited, place, entry[None])
-        new = td.traced_increment(old, change[None], walk.trace[None], has_trace[None], zero)
+        new = updates.traced_increment(old, change[None], walk.trace[None], has_trace[None], zero)
         return TraceTables(put_row(values, there, new), visited)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 import xarray as xr
 from matplotlib.axes import Axes
 
-from hrljax import checks, stats
+from hrljax import stats
+from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
 

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
-from hrljax import checks, stats
+from hrljax import stats
+from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
 
@@ -153,6 +154,6 @@ def _checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
     if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
         raise TypeError(f"limits must be two numbers, got {limits!r}")
     low, high = (checks.number(f"limits[{i}]", limit) for i, limit in enumerate(limits))
-    if not low < high:
+    if not low <= high:
         raise ValueError(f"limits must be in order, the lower one first, got {limits!r}")
     return low, high

@@ -4,7 +4,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hrljax.hierarchy import Hierarchy
+from hrljax.hierarchy.definition import Hierarchy
 
 MAX_CONTEXTS = 4096
 Termination = Literal["immediate", "on_return"]

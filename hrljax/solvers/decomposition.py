@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.solvers.joint import JointProcess, Totals
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.solvers.model import Model, check_model
 
 

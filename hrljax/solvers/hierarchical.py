@@ -10,15 +10,15 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from hrljax import checks
-from hrljax.hierarchy import Hierarchy, Subtask
+from hrljax.core import checks
+from hrljax.hierarchy.definition import Hierarchy, Subtask
 from hrljax.solvers.joint import JointProcess, NoBestPolicyError, Termination, joint_process
 from hrljax.solvers.joint_optima import Method, Optimum, Ties, greedy, optimise
 from hrljax.solvers.model import Model
 
 
 class TaskArrays(Protocol):
-    """A hierarchy's predicates at every state, as `hrljax.learners.task_tables.tabulate` gives them."""
+    """A hierarchy's predicates at every state, as `hrljax.hierarchy.tables.tabulate` gives them."""
 
     @property
     def active(self) -> np.ndarray: ...  # [tasks, S] bool
@@ -179,6 +179,6 @@ def _missing(process: JointProcess, why: str) -> Criterion:
 def _check_tasks(tasks: object) -> None:
     if not (hasattr(tasks, "active") and hasattr(tasks, "goal")):
         raise TypeError(
-            "tasks must be a hierarchy's predicates at every state, hrljax.learners.task_tables.tabulate(hierarchy, "
+            "tasks must be a hierarchy's predicates at every state, hrljax.hierarchy.tables.tabulate(hierarchy, "
             f"env), got {checks.described(tasks)}"
         )

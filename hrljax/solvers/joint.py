@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from hrljax import checks
-from hrljax.hierarchy import Hierarchy
+from hrljax.core import checks
+from hrljax.hierarchy.definition import Hierarchy
 from hrljax.solvers.contexts import Contexts, Termination, contexts, control
 from hrljax.solvers.model import Model, check_model
 

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.solvers.joint import JointProcess, Totals
 
 Method = Literal["policy_iteration", "value_iteration"]

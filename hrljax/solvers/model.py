@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.core import Tracer
 
-from hrljax import checks
+from hrljax.core import checks
 
 
 class Model(NamedTuple):

@@ -2,7 +2,7 @@
 
 import xarray as xr
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.stats.resampling import Method, Statistic
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.stats.arguments import check_values
 
 

@@ -3,7 +3,7 @@
 import xarray as xr
 from scipy import special
 
-from hrljax import checks
+from hrljax.core import checks
 from hrljax.stats import resampling
 from hrljax.stats.arguments import check_bootstrap, check_level, check_values
 from hrljax.stats.resampling import Method, Statistic

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from hrljax.core.random import below
 from hrljax.envs.base import Environment, TabularEnvironment
-from hrljax.random import below
 
 LENGTH = 4
 

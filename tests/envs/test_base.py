@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hrljax.envs.base import concrete_params
-from hrljax.envs.maze import Maze, MazeParams
-from hrljax.envs.taxi import FickleTaxiParams, TaxiParams
+from hrljax.envs.grid.maze import Maze, MazeParams
+from hrljax.envs.taxi.env import FickleTaxiParams, TaxiParams
 
 MAZE = Maze()
 KEY_WORDS = np.zeros(2, np.uint32)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hrljax as hrl
-from hrljax.envs.maze import Maze
-from hrljax.random import WORD_RANGE
+from hrljax.core.random import WORD_RANGE
+from hrljax.envs.grid.maze import Maze
 from hrljax.solvers import Model
 from tests.maps import SMALL
 

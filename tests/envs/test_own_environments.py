@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import hrljax as hrl
-from hrljax import work
+from hrljax.core.random import below
 from hrljax.envs import checks, outcomes
 from hrljax.envs.base import concrete_params
 from hrljax.envs.checks import check_before_training
-from hrljax.random import below
+from hrljax.sweeps import job
 from tests.envs.corridor import LENGTH, Corridor, Numbers, State, Untabular, changed
 
 TABLE = np.array([-1.0, 0.0, 0.0, 0.0])
@@ -239,7 +239,7 @@ def nothing_compiles(monkeypatch: pytest.MonkeyPatch):
     def refuse(*_: Any) -> None:
         raise AssertionError("training was compiled")
 
-    monkeypatch.setattr(work.Job, "compiled", refuse)
+    monkeypatch.setattr(job.Job, "compiled", refuse)
     monkeypatch.setattr(import_module("hrljax.train"), "_Trainer", refuse)
 
 

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hrljax as hrl
-from hrljax import random, simulation
-from hrljax.counting import count
+from hrljax.core import random
+from hrljax.core.counting import count
+from hrljax.engine import simulator
 from hrljax.envs.base import concrete_params
 from tests.strategies import ProblemEnvironment, random_problem
 
@@ -79,7 +80,7 @@ def test_steps_have_the_rewards_of_the_model(dtype: str, seed: int):
     happens = model.probability > 0
     np.testing.assert_array_equal(model.reward[happens], np.broadcast_to(reward[..., None], happens.shape)[happens])
     params = concrete_params(env.default_params)
-    simulators = simulation.simulator(env, params, 0), simulation._Tabular(env, params, 0)
+    simulators = simulator.simulator(env, params, 0), simulator._Tabular(env, params, 0)
     key = jax.random.key(seed)
 
     @jax.jit

@@ -8,9 +8,9 @@ import pytest
 from gymnasium import spaces
 
 import hrljax as hrl
-from hrljax import random
+from hrljax.core import random
 from hrljax.envs.base import TabularEnvironment
-from hrljax.envs.maze import Maze
+from hrljax.envs.grid.maze import Maze
 from hrljax.envs.table import Table, TableEnvironment
 from hrljax.interop.gymnasium import SingleEnv, from_table
 from hrljax.solvers import Model, value_iteration

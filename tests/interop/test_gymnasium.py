@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.seeding import np_random
 
 import hrljax as hrl
-from hrljax.envs.taxi import Taxi
+from hrljax.envs.taxi.env import Taxi
 from hrljax.interop import episodes
 from hrljax.interop.gymnasium import SingleEnv
 from tests.interop.walker import Walker

@@ -8,8 +8,8 @@ import numpy as np
 from gymnasium import spaces
 from jax import Array
 
+from hrljax.core.random import WORD_RANGE
 from hrljax.envs.base import Environment
-from hrljax.random import WORD_RANGE
 
 
 class WalkState(NamedTuple):

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hrljax.random import WORD_RANGE
+from hrljax.core.random import WORD_RANGE
 from tests.words import drawn
 
 F = np.float32

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import hrljax
-from hrljax import random
-from hrljax.envs.bus import BusParams
+from hrljax.core import random
+from hrljax.envs.bus.env import BusParams
 from hrljax.learners.base import Experience, Moment
 from tests.maps import SMALL
 

@@ -10,9 +10,9 @@ import optax
 import pytest
 
 import hrljax
-from hrljax.envs.bus import Bus, BusParams
+from hrljax.engine.train import bin_sizes, metric_names
+from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.experiments.backup import PseudoRewardInBackup
-from hrljax.train import bin_sizes, metric_names
 from tests.words import KEY, drawn
 
 F = np.float32

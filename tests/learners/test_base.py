@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hrljax
-from hrljax.learners.base import Tabulated, tabulated
+from hrljax.learners.hyperparameters import Tabulated, tabulated
 
 
 @pytest.mark.parametrize("value", [np.float32(0.25), np.array(0.25), jnp.float32(0.25), np.float16(0.25)], ids=repr)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import hrljax
-from hrljax import random
+from hrljax.core import random
+from hrljax.learners import samples
 from hrljax.learners.base import Experience
 from hrljax.learners.dyna import DynaQ
-from hrljax.models import samples
 from tests.learners.python_run import (
     PAIRS,
     assert_learns_only_when_live,

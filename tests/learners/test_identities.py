@@ -10,9 +10,9 @@ import pytest
 from jax import Array, lax
 
 import hrljax
-from hrljax.envs.bus import Bus, BusParams
+from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.experiments.backup import PseudoRewardInBackup
-from hrljax.learners import td
+from hrljax.learners import updates
 
 KEY = jax.random.key(5)
 EPISODES = 100
@@ -114,11 +114,11 @@ def experience(steps: int, tasks: int = TASKS, dtype: Any = np.float32) -> Exper
 def updated(tables: Array, step: Experience, child: Array, discount: Array, pseudo_reward: Array) -> Array:
     """One update of HORDQ on ``[tasks, S, A, 4]`` by the library's rules."""
     zero = jnp.uint32(0)
-    follows = td.Parts(*tables[step.next_task, step.after, child])
+    follows = updates.Parts(*tables[step.next_task, step.after, child])
     pseudo = jnp.where(step.goal, pseudo_reward, jnp.zeros_like(pseudo_reward))
-    target = td.hordq_targets(step.reward, discount, step.exited, pseudo, follows, zero)
+    target = updates.hordq_targets(step.reward, discount, step.exited, pseudo, follows, zero)
     old = tables[step.task, step.state, step.action]
-    new = td.increment(old, jnp.stack(target), step.step_size, jnp.bool_(True), zero)
+    new = updates.increment(old, jnp.stack(target), step.step_size, jnp.bool_(True), zero)
     return tables.at[step.task, step.state, step.action].set(new)
 
 
@@ -152,9 +152,9 @@ def test_hordq_over_one_leaf_with_exits_to_itself_is_q_learning():
                 tables, q = carry
                 best = jnp.argmax(tables[0, now.after, :, :PSEUDO].sum(-1))
                 tables = updated(tables, now, best, discount, jnp.float64(5))
-                target = td.td_target(now.reward, discount, q[now.after].max(), zero)
+                target = updates.td_target(now.reward, discount, q[now.after].max(), zero)
                 at = now.state, now.action
-                q = q.at[at].set(td.increment(q[at], target, now.step_size, jnp.bool_(True), zero))
+                q = q.at[at].set(updates.increment(q[at], target, now.step_size, jnp.bool_(True), zero))
                 return (tables, q), jnp.abs(tables[0, ..., :PSEUDO].sum(-1) - q).max()
 
             start = jnp.zeros((1, STATES, ACTIONS, 4), jnp.float64).at[..., EXIT].set(3.0)

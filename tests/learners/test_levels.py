@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hrljax
-from hrljax.hierarchy import Hierarchy, Subtask
+from hrljax.hierarchy.definition import Hierarchy, Subtask
 
 TAXI = hrljax.make("Taxi", stochastic=True)
 GRID = hrljax.make("Gridworld", map="S....P\n.S.#..\n..S...\nP....G\n")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import hrljax
-from hrljax.hierarchy import Hierarchy, Subtask
+from hrljax.engine.evaluate import greedy_return
+from hrljax.hierarchy.definition import Hierarchy, Subtask
 from tests.learners.python_levels import Decomposed, Graph, Machines, PythonEnv, train_in_python
 from tests.words import KEY
 
@@ -135,7 +136,7 @@ def test_greedy_behaviour_has_the_value_that_plain_python_finds(name: str):
     learner, domain = CASES[name], name.split(", ")[1]
     env, params = DOMAINS[domain].env, DOMAINS[domain].params
     run, python, _, _ = both(name)
-    found = learner.greedy_return(env, learner.prepare(env), run.learned, params, np.uint32(0))
+    found = greedy_return(learner, env, learner.prepare(env), run.learned, params, np.uint32(0))
     assert found.dtype == jnp.float32
     assert float(found) == pytest.approx(python.greedy_return(outcomes(domain)), abs=1e-4)
     assert -90 < float(found) < -3

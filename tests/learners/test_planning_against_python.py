@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hrljax.envs.bus import Bus
-from hrljax.hierarchy import Abstraction, Hierarchy
-from hrljax.learners.task_tables import planning_points, tabulate
-from hrljax.models.multi_time import updated
-from hrljax.planners.abstract_dp import DecisionPoints, sweep
+from hrljax.envs.bus.env import Bus
+from hrljax.hierarchy.definition import Abstraction, Hierarchy
+from hrljax.hierarchy.tables import tabulate
+from hrljax.learners.roots.backups import sweep
+from hrljax.learners.roots.decision_points import DecisionPoints, planning_points
+from hrljax.learners.roots.multi_time_model import updated
 from hrljax.solvers.model import Model
 
 F = np.float32

@@ -7,7 +7,7 @@ import pytest
 
 import hrljax
 from hrljax import solvers
-from hrljax.envs.bus import BusParams
+from hrljax.envs.bus.env import BusParams
 from hrljax.learners.rmax import RMax, RMaxTables
 from tests.learners.python_run import (
     PAIRS,

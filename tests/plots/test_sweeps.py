@@ -124,6 +124,11 @@ def test_the_limits_of_colours_can_be_set():
     assert image.colorbar.extend == "min"
 
 
+def test_limits_may_be_equal_as_they_are_when_an_interrupt_has_left_one_value():
+    ax = heat_map(swept(), "step_size", "pseudo_reward", limits=(-30.0, -30.0))
+    ax.figure.canvas.draw()
+
+
 def test_sensitivity_is_a_line_for_every_value_of_another_axis():
     ax = sensitivity(swept(), "step_size", lines="pseudo_reward", references={"optimum": -24.59})
     names = [text.get_text() for text in ax.get_legend().get_texts()]

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrljax.envs.bus import Bus, BusParams
-from hrljax.envs.bus_map import KAO_V1
-from hrljax.envs.maze import Maze
+from hrljax.envs.bus.env import Bus, BusParams
+from hrljax.envs.bus.map import KAO_V1
+from hrljax.envs.grid.maze import Maze
 from hrljax.solvers import dynamic_programming as dp
 from hrljax.solvers.model import Model
 

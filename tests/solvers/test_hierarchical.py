@@ -11,15 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrljax.envs.bus import Bus
-from hrljax.envs.gridworld import Gridworld
-from hrljax.envs.maze import Maze
-from hrljax.envs.taxi import Taxi
-from hrljax.evaluate import HierarchicalPolicy, expected_return
-from hrljax.hierarchy import Hierarchy, Subtask
-from hrljax.leaf_covers import total_leaf_cover
-from hrljax.learners.task_graph import task_graph
-from hrljax.learners.task_tables import tabulate
+from hrljax.engine.evaluate import expected_return
+from hrljax.envs.bus.env import Bus
+from hrljax.envs.grid.gridworld import Gridworld
+from hrljax.envs.grid.maze import Maze
+from hrljax.envs.taxi.env import Taxi
+from hrljax.hierarchy.definition import Hierarchy, Subtask
+from hrljax.hierarchy.layout import task_graph
+from hrljax.hierarchy.leaf_cover import total_leaf_cover
+from hrljax.hierarchy.policy import HierarchicalPolicy
+from hrljax.hierarchy.tables import tabulate
 from hrljax.solvers import (
     Model,
     NoBestPolicyError,

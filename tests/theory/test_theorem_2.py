@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from hrljax.leaf_covers import inaccessible, total_leaf_cover
+from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover
 from hrljax.solvers import JointProcess, decompose, joint_process, optimise
 from hrljax.solvers.joint_optima import Method, Optimum
 from tests.strategies import Problem, hierarchy_on, random_policy, random_problem, random_process

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jax import Array, lax
 
-from hrljax.learners import td
+from hrljax.learners import updates
 from tests.strategies import SHARES, Problem, random_problem
 
 PSEUDO = 3
@@ -57,11 +57,13 @@ def errors(problem: Problem, exits: Array) -> Array:
         row = tables[next_task, after]
         child = jnp.argmax(row[:, :PSEUDO].sum(-1))
         nothing = jnp.float64(0)
-        target = td.hordq_targets(reward[state, action], discount, exited, nothing, td.Parts(*row[child]), zero)
+        target = updates.hordq_targets(
+            reward[state, action], discount, exited, nothing, updates.Parts(*row[child]), zero
+        )
         target = target._replace(exit=jnp.where(exits, target.exit, nothing))
         at = task, state, action
         visits = visits.at[at].add(1)
-        new = td.increment(tables[at], jnp.stack(target), visits[at] ** -POWER, jnp.bool_(True), zero)
+        new = updates.increment(tables[at], jnp.stack(target), visits[at] ** -POWER, jnp.bool_(True), zero)
         return (tables.at[at].set(new), visits, next_task, after), None
 
     visits = jnp.zeros((2, num_states, num_actions), jnp.float64)

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.envs.mario.arithmetic import truncated
-from hrljax.envs.mario.course import Course, start
-from hrljax.envs.mario.level import SCREEN_WIDTH
-from hrljax.envs.mario.sprite_list import has
-from hrljax.envs.mario.state import JUMP, LEFT, MAX_SPRITES, RIGHT, SPEED, WINGED, Player, World
-from hrljax.envs.mario.tick import tick
-from hrljax.envs.mario.tiles import HEIGHT, SYMBOL_EXIT, SYMBOL_MARIO, SYMBOLS, TILE
-from hrljax.numerics import opaque_zero
+from hrljax.core.numerics import opaque_zero
+from hrljax.envs.mario.engine.arithmetic import truncated
+from hrljax.envs.mario.engine.course import Course, start
+from hrljax.envs.mario.engine.sprite_list import has
+from hrljax.envs.mario.engine.state import JUMP, LEFT, MAX_SPRITES, RIGHT, SPEED, WINGED, Player, World
+from hrljax.envs.mario.engine.tick import tick
+from hrljax.envs.mario.levels.level import SCREEN_WIDTH
+from hrljax.envs.mario.levels.tiles import HEIGHT, SYMBOL_EXIT, SYMBOL_MARIO, SYMBOLS, TILE
 
 TICKS = 5
 """Ticks in a step."""
@@ -29,7 +29,7 @@ PLAYING, ENDED, OBSERVED = range(3)
 
 
 def keys_of(direction: int, jump: int, speed: int) -> int:
-    """The keys of an action, as bits of `hrljax.envs.mario.state`."""
+    """The keys of an action, as bits of `hrljax.envs.mario.engine.state`."""
     return {-1: LEFT, 0: 0, 1: RIGHT}[direction] | JUMP * jump | SPEED * speed
 
 
@@ -85,7 +85,7 @@ def advance(
         episode: where it stands.
         keys: keys of the action (`keys_of`), int32.
         max_steps: the step with this number kills Mario in its first tick.
-        quantum: see `hrljax.envs.mario.quantum`.
+        quantum: see `hrljax.envs.mario.engine.quantum`.
     """
     time = episode.time + (episode.phase != OBSERVED).astype(jnp.int32)
     late = time >= jnp.asarray(max_steps, jnp.int32)

@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax import checks
+from hrljax.core import checks
+from hrljax.core.numerics import exact_product, opaque_zero, take
+from hrljax.core.random import WORD_BITS
 from hrljax.envs.base import Environment
 from hrljax.envs.mario.competition import (
     COLUMNS,
@@ -22,16 +24,14 @@ from hrljax.envs.mario.competition import (
     keys_of,
     objects,
     screen,
-)  # fmt: skip
-from hrljax.envs.mario.course import Course, make_course
-from hrljax.envs.mario.generator import generate_level
-from hrljax.envs.mario.level import Level
-from hrljax.envs.mario.level_ascii import from_ascii
-from hrljax.envs.mario.quantum import check_quantum
-from hrljax.envs.mario.state import World
-from hrljax.envs.mario.tiles import TILE
-from hrljax.numerics import exact_product, opaque_zero, take
-from hrljax.random import WORD_BITS
+)
+from hrljax.envs.mario.engine.course import Course, make_course
+from hrljax.envs.mario.engine.quantum import check_quantum
+from hrljax.envs.mario.engine.state import World
+from hrljax.envs.mario.levels.ascii import from_ascii
+from hrljax.envs.mario.levels.generator import generate_level
+from hrljax.envs.mario.levels.level import Level
+from hrljax.envs.mario.levels.tiles import TILE
 
 ALL_ACTIONS = tuple((direction, jump, speed) for direction in (-1, 0, 1) for jump in (0, 1) for speed in (0, 1))
 """The competition's actions: direction, jump, speed."""
@@ -80,7 +80,7 @@ class Mario(Environment[Episode, MarioParams]):
         level_type: 0 overground, 1 underground, 2 castle.
         difficulty: 0 and up.
         width: nominal width of the levels in tiles.
-        levels: levels as text (`hrljax.envs.mario.level_ascii`) in place of generated ones.
+        levels: levels as text (`hrljax.envs.mario.levels.ascii`) in place of generated ones.
         preset: ``"competition"`` or ``"thesis"`` (nine actions, -50 for a death, displacement).
         actions: ``"all"`` twelve or the ``"thesis"``'s nine; None: the preset's.
         quantum: positions and velocities are multiples of 1 / quantum pixels after every tick; None:
@@ -105,7 +105,7 @@ class Mario(Environment[Episode, MarioParams]):
     has_loops = True
     num_words = 0
     num_initial_words = 1
-    renderer = "hrljax.envs.mario.state_render"
+    renderer = "hrljax.envs.mario.drawing.state"
 
     def __post_init__(self) -> None:
         checks.choice("preset", self.preset, PRESETS)
@@ -114,7 +114,7 @@ class Mario(Environment[Episode, MarioParams]):
         for name, value in (("seeds", self.seeds), ("levels", self.levels)):
             checks.instance(name, value, tuple, "a tuple")
         for number, level in enumerate(self.levels):
-            checks.text(f"levels[{number}]", level, "hrljax.envs.mario.level_ascii.to_ascii(level)")
+            checks.text(f"levels[{number}]", level, "hrljax.envs.mario.levels.ascii.to_ascii(level)")
         count = len(self.levels or self.seeds)
         if not 1 <= count <= _MOST_LEVELS:
             raise ValueError(f"seeds or levels must name 1 to {_MOST_LEVELS} levels, got {count}")
@@ -164,7 +164,7 @@ class Mario(Environment[Episode, MarioParams]):
         return after, reward, terminated, info
 
     def keys(self, action: Array) -> Array:
-        """The keys that an action holds, as bits of `hrljax.envs.mario.state` (int32)."""
+        """The keys that an action holds, as bits of `hrljax.envs.mario.engine.state` (int32)."""
         return take(jnp.asarray(np.array([keys_of(*action) for action in self.action_table], np.int32)), action)
 
     def observation(self, state: Episode) -> Array:

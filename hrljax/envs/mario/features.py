@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax import checks
-from hrljax.envs.mario.course import Course
-from hrljax.envs.mario.state import KIND_NAMES, MAX_SPRITES, WINGED, Player, Sprites, World
-from hrljax.envs.mario.tiles import EMPTY, HEIGHT, SYMBOL_EXIT, SYMBOLS, TILE
-from hrljax.numerics import put_row, take
+from hrljax.core import checks
+from hrljax.core.numerics import put_row, take
+from hrljax.envs.mario.engine.course import Course
+from hrljax.envs.mario.engine.state import KIND_NAMES, MAX_SPRITES, WINGED, Player, Sprites, World
+from hrljax.envs.mario.levels.tiles import EMPTY, HEIGHT, SYMBOL_EXIT, SYMBOLS, TILE
 
 TILE_CHARACTERS = " $b?|1234567!"
 SYMBOL_NAMES = (

@@ -13,13 +13,13 @@ import numpy as np
 from hrljax.envs.base import numbers_of
 from hrljax.envs.mario import features
 from hrljax.envs.mario.competition import OBSERVED, PLAYING, TICKS, Episode, held_keys, keys_of, unbegun
-from hrljax.envs.mario.course import Course
+from hrljax.envs.mario.engine.course import Course
+from hrljax.envs.mario.engine.state import World
+from hrljax.envs.mario.engine.tick import tick
 from hrljax.envs.mario.env import ALL_ACTIONS, Mario, MarioParams
-from hrljax.envs.mario.level import PIRANHA
+from hrljax.envs.mario.levels.level import PIRANHA
+from hrljax.envs.mario.levels.tiles import HEIGHT, TILE
 from hrljax.envs.mario.recordings import LevelId, read_episodes
-from hrljax.envs.mario.state import World
-from hrljax.envs.mario.tick import tick
-from hrljax.envs.mario.tiles import HEIGHT, TILE
 
 Action = tuple[int, int, int]
 """Direction (-1 left, 0, 1 right), jump (0, 1), speed (0, 1)."""

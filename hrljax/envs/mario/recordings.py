@@ -11,8 +11,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from hrljax.envs.mario.level import Level
-from hrljax.envs.mario.tiles import HEIGHT
+from hrljax.envs.mario.levels.level import Level
+from hrljax.envs.mario.levels.tiles import HEIGHT
 
 MARIO_FLOATS = ("x", "y", "xa", "ya", "x_old", "y_old", "x_jump_speed", "y_jump_speed", "x_cam")
 """Columns of `Trajectory.mario_floats`."""

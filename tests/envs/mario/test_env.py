@@ -8,8 +8,8 @@ import pytest
 import hrljax as hrl
 from hrljax.envs.mario.competition import ENDED, OBSERVED, PLAYING, Episode
 from hrljax.envs.mario.env import ALL_ACTIONS, THESIS_ACTIONS, Mario, MarioParams, _reward
-from hrljax.envs.mario.generator import generate_level
-from hrljax.envs.mario.level_ascii import to_ascii
+from hrljax.envs.mario.levels.ascii import to_ascii
+from hrljax.envs.mario.levels.generator import generate_level
 
 ENV = Mario(seeds=(1247, 3, 4))
 RIGHT_JUMP_SPEED = ENV.action_names.index("right jump speed")

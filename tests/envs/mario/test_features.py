@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from jax import Array
 
 from hrljax.envs.mario import features
-from hrljax.envs.mario.course import make_course, start
+from hrljax.envs.mario.engine.course import make_course, start
+from hrljax.envs.mario.engine.state import KIND_NAMES, MAX_SPRITES, WINGED, World
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, REACH, SYMBOL_NAMES
-from hrljax.envs.mario.level_ascii import from_ascii
-from hrljax.envs.mario.state import KIND_NAMES, MAX_SPRITES, WINGED, World
-from hrljax.envs.mario.tiles import BEHAVIORS
+from hrljax.envs.mario.levels.ascii import from_ascii
+from hrljax.envs.mario.levels.tiles import BEHAVIORS
 
 WIDTH = 40
 LEVEL = from_ascii(

@@ -1,0 +1,50 @@
+"""Choosing among a few scalars: the greatest, the one at an index, a random one."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.core.random import threshold
+
+
+def greedy(values: list[Array]) -> tuple[Array, Array]:
+    """Index (int32) and value of the greatest of a few scalars; ties go to the first.
+
+    A tournament on bits: selects would become branches, which a learning agent makes unpredictable.
+    """
+    players = [(jnp.int32(i), value) for i, value in enumerate(values)]
+    while len(players) > 1:
+        winners = [_winner(*pair) for pair in zip(players[::2], players[1::2], strict=False)]
+        players = winners + players[2 * len(winners) :]
+    return players[0]
+
+
+def _winner(left: tuple[Array, Array], right: tuple[Array, Array]) -> tuple[Array, Array]:
+    right_wins = right[1] > left[1]
+    mask = -right_wins.astype(jnp.int32)
+    return left[0] ^ ((left[0] ^ right[0]) & mask), lax.select(right_wins, right[1], left[1])
+
+
+def pick(values: list[Array], index: Array) -> Array:
+    """``values[index]`` for a few scalars."""
+    chosen = values[0]
+    for i, value in enumerate(values[1:], start=1):
+        chosen = lax.select(index == i, value, chosen)
+    return chosen
+
+
+def epsilon_greedy(greedy_action: Array, num_actions: int, word: Array, epsilon: Array) -> Array:
+    """The greedy action, or with probability `epsilon` a uniformly random one; uses one word."""
+    anything = (word % np.uint32(num_actions)).astype(jnp.int32)
+    return lax.select(word < threshold(epsilon), anything, greedy_action)
+
+
+def nth_allowed(allowed: list[Array], word: Array) -> Array:
+    """A uniformly random one of the allowed slots (int32)."""
+    count = sum((a.astype(jnp.uint32) for a in allowed), jnp.uint32(0))
+    skip = word % lax.max(count, jnp.uint32(1))
+    chosen, seen = jnp.int32(0), jnp.uint32(0)
+    for slot, is_allowed in enumerate(allowed):
+        chosen = lax.select(is_allowed & (seen == skip), jnp.int32(slot), chosen)
+        seen = seen + is_allowed.astype(jnp.uint32)
+    return chosen

@@ -1,0 +1,25 @@
+"""What a hierarchy does, as numbers."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from hrljax.hierarchy.definition import Hierarchy, Subtask
+from hrljax.hierarchy.layout import TaskGraph, task_graph
+from hrljax.hierarchy.tables import NumberedStates
+
+
+class HierarchicalPolicy(NamedTuple):
+    """What every learning subtask does; T subtasks, S states."""
+
+    graph: TaskGraph
+    slots: Array  # [T, S] int32: slot of the child that is invoked
+    choice: Array | None  # [S, T] float32: probabilities that a root that does not learn invokes each subtask
+
+
+def flat_policy(env: NumberedStates, actions: Array) -> HierarchicalPolicy:
+    """The policy without subtasks that takes ``actions[s]`` (int32 ``[S]``) in state s."""
+    root = Subtask("Root", env.action_names, lambda state: jnp.bool_(False))
+    graph = task_graph(Hierarchy(env.action_names, [root]), env, root_learns=True)
+    return HierarchicalPolicy(graph, actions[None], None)

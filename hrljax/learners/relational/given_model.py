@@ -1,0 +1,86 @@
+"""A given model of Mario: his own dynamics as the engine has them, in a level without things (thesis 5.1).
+
+It is exact about running, jumping and pits and knows nothing of monsters, coins and items: the
+structural bias of thesis 4.2.3 without the errors of learning.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.core.numerics import exact_product, opaque_zero, take
+from hrljax.envs.mario.competition import TICKS, Episode, held_keys, is_over
+from hrljax.envs.mario.engine.collision import Purse
+from hrljax.envs.mario.engine.player import finish, move, steer
+from hrljax.envs.mario.engine.state import Player
+from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.levels.tiles import TILE
+from hrljax.learners.base import Experience
+from hrljax.search.best_first import ModelFn
+
+
+class Runner(NamedTuple):
+    """Where Mario stands in a look-ahead."""
+
+    player: Player
+    keys: Array  # int32: keys of the last action, which hold for one more tick
+
+    @property
+    def x(self) -> Array:
+        """In pixels."""
+        return self.player.x
+
+    @property
+    def y(self) -> Array:
+        """In pixels, downwards."""
+        return self.player.y
+
+
+@dataclass(frozen=True)
+class MarioDynamics:
+    """Mario's dynamics, with the rewards of the environment's preset; there is nothing to fit.
+
+    The level is seen beyond the edge of the screen, and stays as it is at the moment of planning.
+    """
+
+    def init(self, env: Mario) -> tuple[()]:
+        return ()
+
+    def observe(self, env: Mario, tables: tuple[()], step: Experience, live: Array) -> tuple[()]:
+        return ()
+
+    def refit(self, env: Mario, tables: tuple[()]) -> tuple[()]:
+        return ()
+
+    def planned(self, env: Mario, tables: tuple[()], episode: Episode) -> tuple[ModelFn, Runner]:
+        """What a planner searches from a moment of an episode: the model, and the state to start in."""
+        world, params = episode.world, env.default_params
+        exit_column = take(jnp.asarray(env.course.exit_column), world.level)
+        purse = Purse(world.tiles, world.coins)
+
+        def model(state: Runner, action: Array) -> tuple[Runner, Array]:
+            keys = env.keys(action)
+
+            def tick(carry: tuple[Array, Player]) -> tuple[Array, Player]:
+                number, player = carry
+                held = held_keys(number, state.keys, keys)
+                moved = move(purse, steer(player, held)).player
+                return number + 1, finish(moved, held, exit_column, env.course.num_columns).player
+
+            first = lax.select(is_over(state.player), jnp.int32(TICKS), jnp.int32(0))
+            _, after = lax.while_loop(
+                lambda carry: (carry[0] < TICKS) & ~is_over(carry[1]), tick, (first, state.player)
+            )
+            zero = opaque_zero(action.astype(jnp.uint32))
+            distance = (after.x - state.x) * np.float32(1 / TILE)
+            moved = exact_product(jnp.float32(params.displacement_reward), distance, zero)
+            dies = (after.death_time > 0) & (state.player.death_time == 0)
+            wins = (after.win_time > 0) & (state.player.win_time == 0)
+            usual = lax.select(is_over(state.player), jnp.float32(0), jnp.float32(params.step_reward))
+            last = lax.select(wins, jnp.float32(params.goal_reward), jnp.float32(params.death_reward))
+            return Runner(after, keys), lax.select(dies | wins, last, usual) + moved
+
+        return model, Runner(world.player, episode.keys)

@@ -1,0 +1,39 @@
+"""Which inputs have been met: a table of flags, addressed by a hash.
+
+Two inputs may share a place, so that one that was never met passes for met, rarely while few places are taken.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.core.numerics import put_row, take
+
+_PLACE_BITS = 21
+_SPARE = np.int32(1 << _PLACE_BITS)
+"""Place that is written to where nothing is to be marked."""
+_MIX = np.uint32(0x85EBCA6B)
+
+
+def nothing_met() -> Array:
+    """The empty table, bool."""
+    return jnp.zeros((1 << _PLACE_BITS) + 1, jnp.bool_)
+
+
+def mark(table: Array, inputs: Array, where: Array | bool) -> Array:
+    """The table after `inputs` (int32 ``[F]``) have been met, if `where`."""
+    place = lax.select(jnp.asarray(where), _place(inputs), jnp.int32(_SPARE))
+    return put_row(table, place, jnp.ones(1, jnp.bool_))
+
+
+def is_met(table: Array, inputs: Array) -> Array:
+    """Whether `inputs` (int32 ``[F]``) have been met."""
+    return take(table, _place(inputs))
+
+
+def _place(inputs: Array) -> Array:
+    """A multilinear hash, and its higher half mixed into the lower."""
+    odd = np.random.default_rng(0).integers(1 << 32, size=len(inputs), dtype=np.uint32) | np.uint32(1)
+    word = jnp.sum(inputs.astype(jnp.uint32) * odd, dtype=jnp.uint32)
+    word = (word ^ (word >> np.uint32(15))) * _MIX
+    return (word >> np.uint32(32 - _PLACE_BITS)).astype(jnp.int32)

@@ -1,0 +1,184 @@
+"""The chunks of a sweep's store: where their files lie, what they hold, and whether that is what belongs there."""
+
+import itertools
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hrljax.engine import batch
+from hrljax.sweeps import chunk_file
+from hrljax.sweeps.descriptions import FIRST_VERSION, describe_store
+from hrljax.sweeps.schema import Labels
+from hrljax.sweeps.versions import ComputedBy, Versions
+
+_STEPS = "steps"
+"""A variable of every sweep, finite where a run is finished."""
+
+
+class DamagedChunkError(ValueError):
+    """Some files of a chunk do not hold what was written there."""
+
+    def __init__(self, reasons: dict[Path, str]):
+        """
+        Args:
+            reasons: what is wrong, by the file.
+        """
+        super().__init__(str(reasons))
+        self.reasons = reasons
+
+
+class Part(NamedTuple):
+    """What is finished of a chunk: its first seeds."""
+
+    values: dict[str, np.ndarray]  # by name, [finished seeds, ...]
+    computed_by: ComputedBy  # without versions where files do not tell them
+
+    @property
+    def finished(self) -> int:
+        """Finished seeds."""
+        return sum(count for count, _ in self.computed_by)
+
+    def extended(self, following: "Part") -> "Part":
+        """With the seeds that follow."""
+        values = {name: np.concatenate([first, following.values[name]]) for name, first in self.values.items()}
+        return Part(values, _grouped(_per_seed(self.computed_by) + _per_seed(following.computed_by)))
+
+
+class Chunks:
+    """Chunks whose files are labelled (`hrljax.sweeps.chunk_file`)."""
+
+    tell_versions = True
+    """Whether the files say which versions computed them."""
+
+    def __init__(self, path: Path, labels: Labels, chunk_size: int, settings: str):
+        """
+        Args:
+            path: the folder of the store.
+            labels: names and places of the sweep's values.
+            chunk_size: most seeds of a chunk.
+            settings: digest of the sweep's settings.
+        """
+        self.path, self.labels, self.chunk_size, self.settings = path, labels, chunk_size, settings
+        self.names = sorted(labels.variables, key=lambda name: name == _STEPS)
+        """In the order in which files are written. Those of the first version are finished when their steps are."""
+
+    def all(self) -> list[range]:
+        """The runs of every chunk."""
+        return batch.chunks_of(self.labels.num_rows, self.chunk_size, within=self.labels.seeds)
+
+    def file(self, name: str, chunk: range) -> Path:
+        """Where a variable of a chunk is."""
+        *point, seed = np.unravel_index(chunk.start, self.labels.shape)
+        dims = len(self.labels.variables[name].dims)
+        return self.path.joinpath(name, "c", *map(str, (*point, seed // self.chunk_size, *[0] * dims)))
+
+    def where(self, file: Path, chunk: range) -> str:
+        """A file of the store and the runs whose values it holds, as text."""
+        *point, seed = np.unravel_index(chunk.start, self.labels.shape)
+        axes = zip(self.labels.columns.items(), point, strict=True)
+        combination = [f"{name}={values[index]}" for (name, values), index in axes]
+        seeds = f"seeds {seed} to {seed + len(chunk) - 1}"
+        return f"{file.relative_to(self.path).as_posix()} ({', '.join([*combination, seeds])})"
+
+    def read(self, chunk: range) -> Part:
+        """What is finished of a chunk.
+
+        Raises:
+            DamagedChunkError: files that are there do not hold what was written there.
+            OSError: they cannot be read.
+        """
+        values: dict[str, np.ndarray] = {}
+        computed_by: list[list[Versions]] = []
+        reasons: dict[Path, str] = {}
+        for name in self.names:
+            file = self.file(name, chunk)
+            try:
+                values[name], versions = self._decoded(name, chunk, file.read_bytes())
+                computed_by.append(_per_seed(versions))
+            except FileNotFoundError:
+                computed_by.append([])
+            except ValueError as error:
+                reasons[file] = str(error)
+        if reasons:
+            raise DamagedChunkError(reasons)
+        same = itertools.takewhile(lambda seed: all(v == seed[0] for v in seed), zip(*computed_by, strict=False))
+        agreed = [versions[0] for versions in same][: len(chunk)]
+        return Part({name: whole[: len(agreed)] for name, whole in values.items()}, _grouped(agreed))
+
+    def content(self, name: str, chunk: range, part: Part) -> bytes:
+        """The file of a variable of a chunk of which a part is finished."""
+        variable, finished = self.labels.variables[name], part.values[name]
+        whole = np.full((self.chunk_size, *variable.shape), variable.unfinished)
+        whole[: len(finished)] = finished
+        return chunk_file.encode(whole, self._label(name, chunk, part.computed_by))
+
+    def _label(self, name: str, chunk: range, computed_by: ComputedBy) -> chunk_file.Label:
+        file = self.file(name, chunk).relative_to(self.path).as_posix()
+        return chunk_file.Label(self.settings, file, self.chunk_size, chunk.start % self.labels.seeds, computed_by)
+
+    def _decoded(self, name: str, chunk: range, content: bytes) -> tuple[np.ndarray, ComputedBy]:
+        """``[chunk_size, ...]`` values of a chunk file, and the versions that computed its finished seeds.
+
+        Raises:
+            ValueError: the file does not hold what was written there.
+        """
+        label = chunk_file.label_of(content)
+        expected = self._label(name, chunk, label.computed_by)
+        if (label.settings, label.chunk_size) != (expected.settings, expected.chunk_size):
+            raise ValueError("it belongs to another store")
+        if label != expected:
+            raise ValueError(f"it belongs to {label.file}")
+        variable = self.labels.variables[name]
+        return chunk_file.decode(content, variable.dtype, (self.chunk_size, *variable.shape)), label.computed_by
+
+
+class ChunksOfFirstVersion(Chunks):
+    """Chunks as version 1 of the format has them: without labels, encoded by Zarr."""
+
+    tell_versions = False
+
+    def __init__(self, path: Path, labels: Labels, chunk_size: int, settings: str):
+        super().__init__(path, labels, chunk_size, settings)
+        self._description = describe_store(labels, chunk_size, FIRST_VERSION)
+
+    def content(self, name: str, chunk: range, part: Part) -> bytes:
+        array = self._description.arrays[name]
+        values = part.values[name]
+        array[self._selection(chunk)] = values.reshape(*[1] * len(self.labels.columns), *values.shape).astype(
+            array.dtype
+        )
+        return self._description.content.pop(self._key(name, chunk)).to_bytes()
+
+    def _decoded(self, name: str, chunk: range, content: bytes) -> tuple[np.ndarray, ComputedBy]:
+        contents, key = self._description.content, self._key(name, chunk)
+        contents[key] = self._description.buffer.from_bytes(content)
+        try:
+            values = np.asarray(self._description.arrays[name][self._selection(chunk)])
+        except Exception as error:  # whatever Zarr makes of wrong bytes
+            raise ValueError(str(error)) from error
+        finally:
+            del contents[key]
+        values = values.reshape(len(chunk), *values.shape[len(self.labels.dims) :])
+        finished = int(np.isfinite(values).cumprod().sum()) if name == _STEPS else len(values)
+        return values, [(finished, {})]
+
+    def _key(self, name: str, chunk: range) -> str:
+        return self.file(name, chunk).relative_to(self.path).as_posix()
+
+    def _selection(self, chunk: range) -> tuple[Any, ...]:
+        *point, seed = (int(i) for i in np.unravel_index(chunk.start, self.labels.shape))
+        return (*(slice(i, i + 1) for i in point), slice(seed, seed + len(chunk)))
+
+
+def chunks_of_version(version: int) -> type[Chunks]:
+    """How a version of the format keeps its chunks."""
+    return ChunksOfFirstVersion if version == FIRST_VERSION else Chunks
+
+
+def _per_seed(computed_by: ComputedBy) -> list[Versions]:
+    return [versions for count, versions in computed_by for _ in range(count)]
+
+
+def _grouped(per_seed: list[Versions]) -> ComputedBy:
+    return [(len(list(group)), versions) for versions, group in itertools.groupby(per_seed)]

@@ -1,0 +1,113 @@
+"""The runs of a sweep that go on from runs of another one."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from hrljax.engine.start import LEARNED, Start, Startable, checked_start, learned_shapes, step_words, tree_of
+from hrljax.learners.base import Learner
+from hrljax.sweeps.fingerprint import differences
+from hrljax.sweeps.schema import Labels
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_EPISODES_BEFORE = "episodes_before"
+
+
+class Continuation(NamedTuple):
+    """Where the runs of a sweep start."""
+
+    episodes: int  # that all of them have learned from
+    rows: dict[str, Any]  # the other fields of `hrljax.engine.start.Start`, NumPy arrays ``[runs, ...]``
+
+    def attributes(self) -> dict[str, Any]:
+        """Of the dataset."""
+        return {_EPISODES_BEFORE: self.episodes}
+
+    def digest(self) -> str:
+        """A digest of everything that the runs start with; of what is the same for all, whatever their number."""
+        digest = hashlib.sha256(str(self.episodes).encode())
+        for rows in jax.tree.leaves(self.rows):
+            leaf = rows if rows.strides[0] else rows[:1]
+            digest.update(f"{leaf.dtype.str}{leaf.shape}".encode() + np.ascontiguousarray(leaf).tobytes())
+        return digest.hexdigest()[:32]
+
+
+def episodes_of(dataset: xr.Dataset) -> int:
+    """The episodes that the runs of a sweep have learned from, those before it included."""
+    return int(dataset.attrs.get(_EPISODES_BEFORE, 0)) + int(dataset.attrs["num_episodes"])
+
+
+def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_episodes: int) -> Continuation:
+    """Where the runs of a sweep start, for `start` as of `hrljax.sweep`.
+
+    Raises:
+        TypeError, ValueError: `start` has not what every run needs.
+    """
+    if isinstance(start, Startable) and not isinstance(start, type):
+        begin = checked_start(start, env, learner, num_episodes)
+        same = jax.tree.map(np.asarray, {"learned": begin.learned, "step_words": begin.step_words})
+        rows = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (labels.num_rows, *leaf.shape)), same)
+        return Continuation(int(begin.episodes), rows)
+    import xarray as xr  # here, because importing it takes longer than the rest of hrljax
+
+    if not isinstance(start, xr.Dataset):
+        raise TypeError(
+            f"start must be a dataset of hrljax.sweep(..., keep_learned=True) or a hrljax.Learned, got {start!r}"
+        )
+    check_origin("start", start, env, learner)
+    names = names_of_tables("start", start)
+    runs = _runs(start, labels)
+    named = {name: _rows(runs[name], labels) for name in names}
+    learned = tree_of(learned_shapes(env, learner), named, (labels.num_rows,))
+    rows = {"learned": learned, "step_words": step_words(_rows(runs["steps"], labels))}
+    first = Start(episodes=episodes_of(start), **jax.tree.map(lambda leaf: leaf[0], rows))
+    checked_start(first, env, learner, num_episodes)
+    return Continuation(first.episodes, rows)
+
+
+def check_origin(what: str, dataset: xr.Dataset, env: Any, learner: Learner) -> None:
+    """Raises ValueError for the dataset of another learner or environment; messages call it `what`."""
+    names = {"environment": env.name, "learner": learner.name}
+    wrong = differences({name: dataset.attrs.get(name) for name in names}, names)
+    if wrong:
+        raise ValueError(f"{what} is of another sweep: {'; '.join(wrong)}")
+
+
+def names_of_tables(what: str, dataset: xr.Dataset) -> list[str]:
+    """The variables of a dataset that are learned tables; raises ValueError, which calls it `what`, without any."""
+    tables = [str(name) for name in dataset if str(name).startswith(LEARNED)]
+    if not tables:
+        raise ValueError(f"{what} has no tables; sweep with keep_learned=True")
+    return tables
+
+
+def _runs(start: xr.Dataset, labels: Labels) -> xr.Dataset:
+    """Of the runs in a dataset, those that the runs of a sweep start from."""
+    wanted = {str(dim): labels.coordinates.get(str(dim)) for dim in start["steps"].dims}
+    for dim, values in wanted.items():
+        if values is None:
+            raise ValueError(f"start has an axis {dim!r}, which this sweep has not; select one of its values first")
+        missing = np.setdiff1d(values, start[dim].values)
+        if missing.size:
+            raise ValueError(f"start has no runs with {dim} = {missing[0]:g}; it has {start[dim].values.tolist()}")
+    runs = start.sel(wanted)
+    if not np.isfinite(runs["steps"].values).all():
+        raise ValueError("start has runs that are not finished; finish that sweep first")
+    return runs
+
+
+def _rows(values: xr.DataArray, labels: Labels) -> np.ndarray:
+    """The values of the run that each run of a sweep starts from, ``[rows, ...]``.
+
+    Runs that differ in an axis that the values do not have start from the same one.
+    """
+    whole = values.expand_dims({d: n for d, n in zip(labels.dims, labels.shape, strict=True) if d not in values.dims})
+    inner = [dim for dim in values.dims if dim not in labels.dims]
+    array = whole.transpose(*labels.dims, *inner).values
+    return array.reshape(labels.num_rows, *array.shape[len(labels.dims) :])

@@ -1,0 +1,100 @@
+"""What makes two sweeps the same: settings as text and numbers, and digests of what text does not tell."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from jax import Array
+
+from hrljax.hierarchy.definition import Hierarchy
+from hrljax.hierarchy.tables import parts_of_states, tabulate
+from hrljax.learners.base import Learner
+from hrljax.learners.hyperparameters import Tabulated, tabulated
+from hrljax.learners.options.definition import Options
+from hrljax.sweeps import versions
+from hrljax.sweeps.job import ENV_PREFIX
+
+SWEPT = "swept"
+"""Value of the attribute of a hyper-parameter that has an axis of its own."""
+
+
+def attributes(env: Any, learner: Learner, params: Any, key: Array, swept: Mapping[str, Any]) -> dict[str, Any]:
+    """Every setting of a sweep by name, as text or numbers."""
+    found = {f"learner.{name}": as_attribute(value) for name, value in learner.settings().items()}
+    found |= {ENV_PREFIX + name: as_attribute(value) for name, value in params._asdict().items()}
+    found |= {name if name.startswith(ENV_PREFIX) else f"learner.{name}": SWEPT for name in swept}
+    return {
+        "environment": env.name,
+        "learner": learner.name,
+        **found,
+        **{ENV_PREFIX + name: str(value) for name, value in options(env).items()},
+        **versions.as_attributes([versions.installed()]),
+        "key": json.dumps(np.asarray(jax.random.key_data(key)).tolist()),
+    }
+
+
+def options(env: Any) -> dict[str, Any]:
+    """The options that an environment was made with."""
+    return {field.name: getattr(env, field.name) for field in dataclasses.fields(env)}
+
+
+def as_attribute(value: Any) -> str | int | float:
+    """A setting as what files can hold; equal in every process."""
+    if isinstance(value, np.floating):
+        return float(str(value))
+    if callable(value):
+        return f"schedule {getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__name__)}"
+    return value if isinstance(value, str | int | float) else repr(value)
+
+
+def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
+    """By name, digests of the hierarchies, options and schedules of a learner: of what they do, not of their code.
+
+    Raises:
+        ValueError: as `hrljax.learners.hyperparameters.tabulated` and `hrljax.hierarchy.tables.tabulate`.
+    """
+    found: dict[str, str] = {}
+    for name, value in tabulated(learner, num_episodes).settings().items():
+        if isinstance(value, Hierarchy):
+            found[f"digest.learner.{name}"] = hierarchy_digest(env, value)
+        elif isinstance(value, Options):
+            found[f"digest.learner.{name}"] = options_digest(value)
+        elif isinstance(value, Tabulated):
+            found[f"digest.learner.{name}"] = _digest([value.values])
+    return found
+
+
+def hierarchy_digest(env: Any, hierarchy: Hierarchy) -> str:
+    """A digest of a hierarchy's graph and of its predicates at every state of an environment."""
+    tables = tabulate(hierarchy, env)
+    parts = [tables.active, tables.goal]
+    for task in hierarchy.subtasks:
+        parts += parts_of_states(task, env)
+    return _digest([np.frombuffer(repr(hierarchy).encode(), np.uint8), *parts])
+
+
+def options_digest(options: Options) -> str:
+    """A digest of everything that options are made of."""
+    names = np.frombuffer(json.dumps([options.actions, options.names, options.primitives]).encode(), np.uint8)
+    return _digest([names, options.policy, options.termination, options.initiation])
+
+
+def _digest(arrays: list[np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def differences(there: Mapping[str, Any], here: Mapping[str, Any], ignored: tuple[str, ...] = ()) -> list[str]:
+    """What differs between two sets of settings, as text that names both values."""
+    names = [name for name in {**there, **here} if name not in ignored]
+    return [
+        f"{name} is {there.get(name, 'absent')!r} there and {here.get(name, 'absent')!r} here"
+        for name in names
+        if there.get(name) != here.get(name)
+    ]

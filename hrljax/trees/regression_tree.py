@@ -1,0 +1,227 @@
+"""Regression trees (CART, Breiman et al. 1984) over tile kinds and numbers, fitted and evaluated inside JAX.
+
+A node tests a category, ``input == value``, or a number, ``input < threshold``, and sends rows that
+pass to the left. The test is the one that reduces the variance of the target most; thresholds lie in
+the middle between two values of the data. Thesis 4.2.3 learns Mario's movements and rewards with them.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.core import Tracer
+
+from hrljax.core import checks
+from hrljax.core.numerics import put_row, take
+from hrljax.trees.growth import (
+    EQUALS,
+    INPUT_BITS,
+    LEAF,
+    LEFT_SHIFT,
+    Arrays,
+    Growth,
+    Sample,
+    empty_arrays,
+    grow,
+    quantise,
+)
+from hrljax.trees.inputs import MAX_BINS, MAX_CATEGORIES, MAX_INPUTS, bin_inputs, make_cells
+
+MAX_DEPTH = 64
+MAX_ROWS = 1 << 20
+"""More would leave too few bits for a target (`hrljax.trees.growth.quantise`)."""
+
+
+class Trees(NamedTuple):
+    """Binary trees as arrays of C nodes; node 0 is the root, children come in pairs."""
+
+    words: Array  # [..., C] int32: left child, kind of the test, input; 0 is a leaf
+    numbers: Array  # [..., C] float32: what the test compares with, or the leaf's prediction
+
+
+@dataclass(frozen=True)
+class RegressionTree:
+    """How trees are grown.
+
+    Attributes:
+        categories: for every input its number of categories, 0 .. categories - 1, or 0 if it is a number.
+        max_depth: tests on the way from the root to a leaf, at most.
+        min_leaf: rows in a leaf, at least.
+        num_bins: numbers with more distinct values than this are cut into so many bins by rank.
+
+    Raises:
+        TypeError, ValueError: an attribute is no whole number or out of range.
+    """
+
+    categories: tuple[int, ...]
+    max_depth: int = 12
+    min_leaf: int = 5
+    num_bins: int = 128
+
+    def __post_init__(self) -> None:
+        checks.instance("categories", self.categories, tuple, "a tuple of integers")
+        if not 1 <= len(self.categories) <= MAX_INPUTS:
+            raise ValueError(f"categories must describe 1 to {MAX_INPUTS} inputs, got {len(self.categories)}")
+        for i, size in enumerate(self.categories):
+            checks.integer(f"categories[{i}]", size, 0, MAX_CATEGORIES)
+        checks.integer("max_depth", self.max_depth, 0, MAX_DEPTH)
+        checks.integer("min_leaf", self.min_leaf, 1, MAX_ROWS)
+        checks.integer("num_bins", self.num_bins, 2, MAX_BINS)
+
+    @property
+    def num_inputs(self) -> int:
+        return len(self.categories)
+
+    @cached_property
+    def _growth(self) -> Growth:
+        return Growth(make_cells(self.categories, self.num_bins), self.max_depth, self.min_leaf, self.num_inputs)
+
+    def capacity(self, num_rows: int) -> int:
+        """C: how many nodes a tree of so many rows may have, and two in which growing writes in passing."""
+        leaves = max(1, num_rows // self.min_leaf)
+        return min(2 * leaves - 1, 2 ** (self.max_depth + 1) - 1) + 2
+
+    def fit(self, inputs: Array, targets: Array, count: Array | int | None = None) -> Trees:
+        """Grows one tree.
+
+        Args:
+            inputs: ``[N, F]`` float32, categories as whole numbers.
+            targets: ``[N]`` float32. Fitted as multiples of a power of two, about 2^-15 of the
+                greatest for 20,000 rows, and finer for fewer.
+            count: int32 scalar: only the first so many rows are used; all if not given. Without any
+                row the tree predicts 0.
+
+        Returns:
+            `Trees` of ``[C]``. A deterministic function of the set of the used rows.
+
+        Raises:
+            ValueError: a shape or a concrete value is wrong.
+        """
+        trees = self.fit_groups(inputs, targets[:, None], jnp.zeros(len(inputs), jnp.int32), 1, count)
+        return Trees(trees.words[0, 0], trees.numbers[0, 0])
+
+    def fit_groups(
+        self, inputs: Array, targets: Array, group: Array, num_groups: int, count: Array | int | None = None
+    ) -> Trees:
+        """Grows a tree for every group of rows and every target; bins are found once, from all rows.
+
+        Args:
+            inputs, count: as in `fit`.
+            targets: ``[N, K]`` float32.
+            group: ``[N]`` int32 in ``0 .. num_groups - 1``, such as the action of a transition.
+            num_groups: G, static.
+
+        Returns:
+            `Trees` of ``[G, K, C]``.
+
+        Raises:
+            ValueError: a shape or a concrete value is wrong.
+        """
+        inputs, targets, group = map(jnp.asarray, (inputs, targets, group))
+        given = jnp.int32(len(inputs)) if count is None else jnp.asarray(count)
+        self._check(inputs, targets, group, num_groups, given)
+        num_rows, num_targets = targets.shape
+        used = given.astype(jnp.int32)
+        valid = jnp.arange(num_rows, dtype=jnp.int32) < used
+        binned = bin_inputs(inputs, used, self.categories, self.num_bins)
+        quanta = quantise(targets.T, valid)
+        values = quanta.values.reshape(-1)
+        rows, starts = _grouped(group, used, num_groups)
+        capacity = self.capacity(num_rows)
+        arrays = empty_arrays(self._growth, num_groups * num_targets * capacity, rows)
+
+        def one(tree: Array, arrays: Arrays) -> Arrays:
+            own_group, target = tree // np.int32(num_targets), tree % np.int32(num_targets)
+            sample = Sample(
+                binned, values, target * np.int32(num_rows), take(quanta.size, target), tree * np.int32(capacity)
+            )
+            start = take(starts, own_group)
+            return grow(self._growth, sample, arrays, start, take(starts, own_group + 1) - start)
+
+        arrays = lax.fori_loop(jnp.int32(0), jnp.int32(num_groups * num_targets), one, arrays)
+        shape = (num_groups, num_targets, capacity)
+        return Trees(arrays.words.reshape(shape), arrays.numbers.reshape(shape))
+
+    def _check(self, inputs: Array, targets: Array, group: Array, num_groups: int, count: Array) -> None:
+        num_rows = len(inputs) if inputs.ndim else 0
+        if inputs.shape != (num_rows, self.num_inputs) or not 1 <= num_rows <= MAX_ROWS:
+            raise ValueError(
+                f"inputs must have shape [N, {self.num_inputs}] with 1 to {MAX_ROWS} rows, got {list(inputs.shape)}"
+            )
+        if targets.ndim != 2 or len(targets) != num_rows or not targets.shape[1]:
+            raise ValueError(f"targets must have a value for each of {num_rows} rows, got shape {list(targets.shape)}")
+        for name, values in (("inputs", inputs), ("targets", targets)):
+            if values.dtype != jnp.float32:
+                raise ValueError(f"{name} must be float32, got {values.dtype}")
+        if group.shape != (num_rows,) or group.dtype != jnp.int32:
+            raise ValueError(f"group must be int32 of shape [{num_rows}], got {group.dtype} of {list(group.shape)}")
+        checks.integer("num_groups", num_groups, 1, MAX_ROWS)
+        if count.shape != () or not jnp.issubdtype(count.dtype, jnp.integer):
+            raise ValueError(f"count must be one integer, got {count.dtype} of shape {list(count.shape)}")
+        if any(isinstance(values, Tracer) for values in (inputs, targets, group, count)):
+            return
+        if not 0 <= int(count) <= num_rows:
+            raise ValueError(f"count must be in 0..{num_rows}, got {int(count)}")
+        used = slice(0, int(count))
+        self._check_values(np.asarray(inputs)[used], np.asarray(targets)[used], np.asarray(group)[used], num_groups)
+
+    def _check_values(self, inputs: np.ndarray, targets: np.ndarray, group: np.ndarray, num_groups: int) -> None:
+        for name, values in (("inputs", inputs), ("targets", targets)):
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
+        for i, size in enumerate(self.categories):
+            wrong = inputs[:, i][~np.isin(inputs[:, i], np.arange(size))] if size else inputs[:0, i]
+            if len(wrong):
+                raise ValueError(f"inputs[:, {i}] must be whole numbers in 0..{size - 1}, got {wrong[0]:g}")
+        if len(group) and not (group.min() >= 0 and group.max() < num_groups):
+            raise ValueError(f"group must be in 0..{num_groups - 1}, got {group.min()}..{group.max()}")
+
+
+def predict(trees: Trees, inputs: Array, *index: Array | int) -> Array:
+    """The prediction (float32 scalar) of a tree for one row of inputs.
+
+    Args:
+        trees: one tree, or an array of trees.
+        inputs: ``[F]`` float32.
+        index: which tree (int32 scalars, one for every leading axis of the arrays of `trees`).
+    """
+    words, numbers = (values.reshape(-1) for values in trees)
+    base = jnp.int32(0)
+    for i, size in zip(index, trees.words.shape, strict=False):
+        base = base * np.int32(size) + jnp.asarray(i, jnp.int32)
+    base = base * np.int32(trees.words.shape[-1])
+
+    def descend(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        node, word = carry
+        value = take(inputs, word & np.int32((1 << INPUT_BITS) - 1))
+        number = take(numbers, node)
+        passes = lax.select((word & np.int32(EQUALS)) != 0, value == number, value < number)
+        node = base + (word >> np.int32(LEFT_SHIFT)) + 1 - passes.astype(jnp.int32)
+        return node, take(words, node)
+
+    node, _ = lax.while_loop(lambda carry: carry[1] != LEAF, descend, (base, take(words, base)))
+    return take(numbers, node)
+
+
+def _grouped(group: Array, count: Array, num_groups: int) -> tuple[Array, Array]:
+    """Valid rows sorted by group (int32 ``[N]``), and where each group starts (``[G + 1]``)."""
+    num_rows = len(group)
+    valid = jnp.arange(num_rows, dtype=jnp.int32) < count
+    own = jnp.where(valid, group, np.int32(num_groups))
+    sizes = jnp.sum(own[None, :] == jnp.arange(num_groups, dtype=jnp.int32)[:, None], axis=1, dtype=jnp.int32)
+    starts = [jnp.int32(0)]
+    for g in range(num_groups):
+        starts.append(starts[-1] + sizes[g])
+    starts = jnp.stack(starts)
+
+    def place(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        rows, free = carry
+        g = take(group, i)
+        where = take(free, g)
+        return put_row(rows, where, i[None]), put_row(free, g, (where + 1)[None])
+
+    rows, _ = lax.fori_loop(jnp.int32(0), count, place, (jnp.zeros(num_rows, jnp.int32), starts))
+    return rows, starts

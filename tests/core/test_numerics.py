@@ -1,0 +1,118 @@
+"""Scalar building blocks: zeros that nobody folds, products that never fuse, reads and writes of rows."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hrljax.core.numerics import exact_product, opaque_zero, put_row, stage, take, take_row
+
+TRIPLES = np.random.default_rng(0).standard_normal((3, 100_000)).astype(np.float32)
+
+
+@given(word=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=200)
+def test_opaque_zero_is_zero(word: int):
+    zero = opaque_zero(jnp.uint32(word))
+    assert zero == 0
+    assert zero.dtype == jnp.uint32
+
+
+def test_opaque_zero_is_zero_of_many_words():
+    words = jnp.arange(0, 2**32, 9973, dtype=jnp.uint32)
+    assert not jnp.any(opaque_zero(words))
+
+
+def test_opaque_zero_is_not_folded_to_a_constant():
+    compiled = jax.jit(opaque_zero).lower(jnp.uint32(3)).compile()
+    assert "multiply" in compiled.as_text()
+
+
+def test_triples_tell_a_fused_multiply_add_from_two_roundings():
+    a, b, c = TRIPLES
+    fused = (a.astype(np.float64) * b + c).astype(np.float32)
+    assert np.mean(fused != a * b + c) > 0.1
+
+
+def test_an_exact_product_is_rounded_before_it_is_added():
+    add = jax.jit(lambda a, b, c, word: exact_product(a, b, opaque_zero(word)) + c)
+    a, b, c = TRIPLES
+    np.testing.assert_array_equal(add(*map(jnp.asarray, TRIPLES), jnp.uint32(12345)), a * b + c)
+
+
+def test_an_exact_product_of_words_in_registers_is_rounded_before_it_is_added():
+    """LLVM knows more of numbers that it has made itself than of numbers that it has read."""
+
+    def add(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
+        words = jax.lax.iota(jnp.uint32, len(a)) ^ (a > b).astype(jnp.uint32)
+        return exact_product(a, b, opaque_zero(words)) + c
+
+    a, b, c = TRIPLES[:, :2_000]
+    np.testing.assert_array_equal(jax.jit(add)(*map(jnp.asarray, (a, b, c))), a * b + c)
+
+
+def test_an_exact_product_in_a_loop_of_scalars_is_rounded_before_it_is_added():
+    """The training loop's shape: a recurrence whose last bits depend on every rounding before."""
+    a, b, _ = TRIPLES[:, :2_000]
+
+    def body(total: jax.Array, triple: tuple[jax.Array, ...]) -> tuple[jax.Array, None]:
+        x, y, word = triple
+        return exact_product(x, total, opaque_zero(word)) + y, None
+
+    words = np.arange(2_000, dtype=np.uint32) * np.uint32(2654435761)
+    looped, _ = jax.jit(lambda *xs: jax.lax.scan(body, jnp.float32(0.5), xs))(*map(jnp.asarray, (a, b, words)))
+    expected = np.float32(0.5)
+    for x, y in zip(a, b, strict=True):
+        expected = x * expected + y
+    assert looped == expected
+
+
+def test_an_exact_product_in_double_precision_is_rounded_before_it_is_added():
+    a, b, c = np.random.default_rng(1).standard_normal((3, 10_000))
+    with jax.enable_x64(True):
+        add = jax.jit(lambda a, b, c, word: exact_product(a, b, opaque_zero(word)) + c)
+        result = np.asarray(add(jnp.asarray(a), jnp.asarray(b), jnp.asarray(c), jnp.uint32(9)))
+    assert result.dtype == np.float64
+    np.testing.assert_array_equal(result, a * b + c)
+
+
+def test_the_product_with_the_constant_one_is_the_other_factor():
+    b = jnp.float32(1.7)
+    assert exact_product(np.float32(1), b, jnp.uint32(0)) is b
+    assert exact_product(np.float32(0.5), b, jnp.uint32(0)) == np.float32(0.85)
+
+
+@given(size=st.just(9), index=st.integers(0, 8), dtype=st.sampled_from([np.int32, np.uint32]))
+@settings(deadline=None, max_examples=30)
+def test_take_reads_one_entry(size: int, index: int, dtype: type):
+    table = np.arange(size, dtype=np.float32) ** 2
+    assert take(jnp.asarray(table), jnp.asarray(index, dtype)) == table[index]
+
+
+def test_take_beyond_the_end_reads_the_last_entry():
+    assert take(jnp.arange(4.0), jnp.int32(4)) == 3
+    assert take(jnp.arange(4.0), jnp.uint32(2**32 - 1)) == 3
+
+
+@given(start=st.integers(0, 9), length=st.just(3))
+@settings(deadline=None, max_examples=20)
+def test_rows_are_read_and_replaced_in_place(start: int, length: int):
+    table = np.random.default_rng(start).standard_normal(12).astype(np.float32)
+    row = np.array([1, 2, 3], np.float32)
+    np.testing.assert_array_equal(take_row(jnp.asarray(table), jnp.int32(start), length), table[start : start + length])
+    expected = table.copy()
+    expected[start : start + length] = row
+    np.testing.assert_array_equal(put_row(jnp.asarray(table), jnp.int32(start), jnp.asarray(row)), expected)
+
+
+@pytest.mark.parametrize("under_jit", [False, True])
+def test_a_stage_changes_no_result(under_jit: bool):
+    def function(a: jax.Array, b: jax.Array) -> dict[str, jax.Array]:
+        return {"sum": a + b, "difference": a - b}
+
+    staged = stage(function)
+    staged = jax.jit(staged) if under_jit else staged
+    assert staged.__wrapped__ is not None
+    assert staged(jnp.int32(5), b=jnp.int32(3)) == {"sum": 8, "difference": 2}

@@ -1,0 +1,274 @@
+"""Relational learning in Mario: against plain Python, and the identities of the pseudo-reward."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hrljax as hrl
+from hrljax.core.random import WORD_RANGE
+from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.features import NUM_OBJECT_CELLS, NUM_SYMBOLS, object_cells, objects
+from hrljax.learners.base import Experience, Moment
+from hrljax.learners.relational.learner import RelationalHORDQ
+
+ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")  # monsters from the first screen on
+ACTIONS = ENV.num_actions
+MODEL = hrl.MarioModel(rows=64, max_depth=4, min_leaf=2, num_bins=8)
+ROOT = hrl.SearchRoot(model=MODEL, depth=3, max_nodes=18)
+F = np.float32
+
+
+class Recorded(NamedTuple):
+    """A walk: what a learner is given, step by step."""
+
+    first: Any
+    steps: list[Experience]
+    words: np.ndarray  # [steps + 1] uint32
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recorded:
+    """Right-biased random actions until the episode ends."""
+    generator = np.random.default_rng(7)
+    step = jax.jit(lambda state, action: ENV.step(jax.random.key(0), state, action))
+    _, state = jax.jit(ENV.reset)(jax.random.key(0))
+    first, steps = state, []
+    while not steps or not (steps[-1].terminated or len(steps) == 80):
+        action = jnp.int32(generator.choice([4, 5, 7, 8, 0]))
+        _, after, reward, terminated, _, _ = step(state, action)
+        steps.append(Experience(state, action, reward, after, terminated))
+        state = after
+    return Recorded(first, steps, generator.integers(WORD_RANGE, size=len(steps) + 1).astype(np.uint32))
+
+
+def moment() -> Moment:
+    return Moment(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
+
+
+def replayed(learner: RelationalHORDQ, walk: Recorded) -> tuple[Any, list[Any]]:
+    """Tables after the walk, and the control after every step; `learn` looks at the steps' own actions."""
+    prepared = learner.prepare(ENV)
+    state = learner.init(ENV, prepared)
+    begin = jax.jit(lambda tables, first, word: learner.begin(prepared, tables, first, (word,), moment()))
+    learn = jax.jit(lambda state, step, word: learner.learn(prepared, state, step, (word,), moment()))
+    state = state._replace(control=begin(state.tables, walk.first, walk.words[0]))
+    controls = [state.control]
+    for step, word in zip(walk.steps, walk.words[1:], strict=True):
+        state = learn(state, step, word)
+        controls.append(state.control)
+    return state.tables, controls
+
+
+class PythonSARSA:
+    """Linear SARSA(lambda) over concepts with accumulating traces over the last L steps."""
+
+    def __init__(self, learner: RelationalHORDQ):
+        self.learner = learner
+        self.weights = np.zeros((NUM_OBJECT_CELLS + 1, ACTIONS), F)
+        self.weights[-1] = learner.initial_value
+        self.trail: list[tuple[list[int], int]] = []
+
+    def concepts(self, episode: Any) -> list[int]:
+        seen = objects(episode.world.player, episode.world.sprites, episode.world.num_sprites)
+        return [int(c) for c, there in zip(object_cells(seen), seen.mask, strict=True) if there]
+
+    def values(self, concepts: list[int]) -> np.ndarray:
+        total = self.weights[-1].copy()
+        for concept in concepts:
+            total += self.weights[concept]
+        return total
+
+    def choose(self, concepts: list[int], word: int) -> int:
+        explores = word < np.ceil(float(F(self.learner.epsilon)) * WORD_RANGE)
+        return int(word) % ACTIONS if explores else int(np.argmax(self.values(concepts)))
+
+    def learn(self, step: Experience, word: int) -> int:
+        before, after = self.concepts(step.state), self.concepts(step.next_state)
+        action = self.choose(after, word)
+        follows = F(0) if step.terminated else self.values(after)[action]
+        target = F(step.reward) + F(self.learner.discount) * follows
+        change = F(self.learner.step_size) * (target - self.values(before)[int(step.action)])
+        self.trail = [*self.trail, (before, int(step.action))][-max(self.learner.trace_length, 1) :]
+        for concepts, taken in reversed(self.trail):
+            for concept in [-1, *concepts]:
+                self.weights[concept, taken] += change
+            change = F(F(self.learner.discount) * F(self.learner.trace_decay)) * change
+        return action
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"trace_length": 5, "trace_decay": 0.8}], ids=["one step", "accumulating traces"]
+)
+def test_weights_are_those_of_plain_python(walk: Recorded, options: dict[str, Any]):
+    learner = RelationalHORDQ(epsilon=0.3, initial_value=2.0, **options)
+    tables, controls = replayed(learner, walk)
+    python = PythonSARSA(learner)
+    actions = [python.choose(python.concepts(walk.first), walk.words[0])]
+    actions += [python.learn(step, word) for step, word in zip(walk.steps, walk.words[1:], strict=True)]
+    assert [int(control.action) for control in controls] == actions
+    np.testing.assert_array_equal(np.asarray(tables.weights).reshape(-1, ACTIONS), python.weights)
+    assert any(python.concepts(step.state) for step in walk.steps)
+
+
+def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
+    """Runs in step under `vmap` take such steps; the trail has to stay as it is, at its end and where it wraps."""
+    learner = RelationalHORDQ(epsilon=0.3, trace_length=5, trace_decay=0.8)
+    prepared = learner.prepare(ENV)
+
+    @jax.jit
+    def learn(state: Any, step: Experience, live: Any) -> Any:
+        now = moment()._replace(live=live)
+        return learner.learn(prepared, state, step, (jnp.uint32(3),), now)
+
+    state = learner.init(ENV, prepared)
+    for step in walk.steps[:7]:
+        state = learn(state, step, jnp.bool_(True))
+    assert int(state.tables.trail.length) == 7
+    for step in (walk.steps[8], walk.steps[8]._replace(terminated=jnp.bool_(True))):
+        chex.assert_trees_all_equal(learn(state, step, jnp.bool_(False)).tables, state.tables)
+
+
+def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Recorded):
+    alone, without = replayed(RelationalHORDQ(epsilon=0.3), walk)
+    under_root, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.3, pseudo_reward=0.0), walk)
+    np.testing.assert_array_equal(alone.weights, under_root.weights)
+    assert [int(c.action) for c in without] == [int(c.action) for c in controls]
+
+
+def test_a_huge_pseudo_reward_follows_the_root(walk: Recorded):
+    _, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.0, pseudo_reward=1e6), walk)
+    assert all(int(control.action) == int(control.plan.action) for control in controls)
+
+
+@pytest.mark.parametrize("more", [{}, {"offsets": True, "below": True}], ids=["thesis", "offsets and below"])
+def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk: Recorded, more: dict[str, Any]):
+    """With a leaf for every transition the model gives back what it has seen."""
+    model = hrl.MarioModel(rows=32, max_depth=20, min_leaf=1, num_bins=64, **more)
+    learner = RelationalHORDQ(hrl.SearchRoot(model=model, depth=1, max_nodes=9))
+    tables, _ = replayed(learner, walk)
+    replay = tables.root.replay
+    assert int(replay.added) == len(walk.steps)
+    last = walk.steps[-1]
+    place = (len(walk.steps) - 1) % 32
+    assert float(replay.reward[place]) == float(last.reward)
+    assert int(replay.group[place]) == (ACTIONS if last.terminated else int(last.action))
+    learned = jax.jit(lambda replay: model.fit(replay, ACTIONS))(replay)
+    predicted = jax.jit(
+        lambda learned, step: model.look_ahead(learned, ENV.course, step.state)(body(step.state), step.action)
+    )
+    errors = []
+    for step in walk.steps[-20:-1]:
+        after, reward = predicted(learned, step)
+        errors.append((float(after.x - step.next_state.world.player.x), float(reward - step.reward)))
+    assert np.median(np.abs(errors), axis=0).max() < 0.05
+
+
+def test_pessimism_takes_off_what_was_not_met(walk: Recorded):
+    model = hrl.MarioModel(rows=32, pessimism=2.0)
+    plain = dataclasses.replace(model, pessimism=0.0)
+    tables, _ = replayed(RelationalHORDQ(hrl.SearchRoot(model=model, depth=1, max_nodes=9)), walk)
+
+    def rewards(of: hrl.MarioModel, episode: Any) -> np.ndarray:
+        ahead, start = of.planned(ENV, tables.root, episode)
+        return np.array([float(ahead(start, jnp.int32(action))[1]) for action in range(ACTIONS)])
+
+    def rounded(step: Experience) -> bytes:
+        inputs = np.asarray(model.inputs(ENV.course, step.state.world))
+        return np.append(inputs[:-2], np.round(inputs[-2:] * 32)).tobytes()
+
+    met = {(rounded(step), int(step.action)) for step in walk.steps}
+    # From three tiles on, all that the model reads is on the screen.
+    for step in [step for step in walk.steps if float(step.state.world.player.x) > 48][:3]:
+        expected = [0.0 if (rounded(step), action) in met else 2.0 for action in range(ACTIONS)]
+        np.testing.assert_allclose(rewards(plain, step.state) - rewards(model, step.state), expected, atol=1e-5)
+        assert 0.0 in expected
+    assert plain.init(ENV).met == ()
+
+
+def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: Recorded):
+    model = hrl.MarioModel(offsets=True, below=True)
+    world = walk.first.world
+    world = world._replace(player=world.player._replace(x=jnp.float32(100.0), y=jnp.float32(212.0)))
+    inputs = np.asarray(model.inputs(ENV.course, world))
+    assert inputs.shape == (model.num_inputs,) == (29,)
+    # Column 6 and row 13; rows 11 to 15 are seen, and the last one is below the 15 of the level.
+    np.testing.assert_array_equal(inputs[-2:], [100 / 16 - 6, 212 / 16 - 13])
+    np.testing.assert_array_equal(inputs[:25].reshape(5, 5) == NUM_SYMBOLS, np.arange(5)[:, None] == [4] * 5)
+
+
+def body(episode: Any) -> Any:
+    from hrljax.learners.relational.learned_model import body_of
+
+    return body_of(episode.world)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"root": "search"}, "root must be None or a SearchRoot"),
+        ({"bootstrap": "max"}, "bootstrap must be one of 'on_policy', 'greedy', got 'max'"),
+        ({"trace_length": -1}, "trace_length must be an integer from 0 to 2147483647, got -1"),
+        ({"step_size": 0.0}, "step_size must be a finite number in"),
+    ],
+)
+def test_wrong_settings_are_refused(options: dict[str, Any], message: str):
+    with pytest.raises((TypeError, ValueError), match=message):
+        RelationalHORDQ(**options)
+
+
+def test_only_mario_can_be_played():
+    with pytest.raises(TypeError, match=r"env must be Mario, hrljax\.make\('Mario'\), for RelationalHORDQ"):
+        hrl.train(hrl.make("Bus"), RelationalHORDQ(), jax.random.key(0), 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"depth": 0}, "depth must be an integer from 1 to 2147483647, got 0"),
+        ({"follow": "never"}, "follow must be one of 'every_step', 'sequence', got 'never'"),
+        ({"model": None}, "model must be a MarioModel"),
+    ],
+)
+def test_wrong_roots_are_refused(options: dict[str, Any], message: str):
+    with pytest.raises((TypeError, ValueError), match=message):
+        hrl.SearchRoot(**options)
+
+
+def test_a_policy_over_states_takes_the_best_action(walk: Recorded, tmp_path: Path):
+    learner = RelationalHORDQ(epsilon=1.0, initial_value=-0.5)
+    state = learner.init(ENV, learner.prepare(ENV))
+    drawn = np.random.default_rng(5).normal(size=state.tables.weights.shape).astype(F)
+    hrl.Learned(ENV, learner, state.tables._replace(weights=drawn)).save(tmp_path / "x.npz")
+    found = hrl.Learned.load(tmp_path / "x.npz")
+    assert (found.env, found.learner) == (ENV, learner)
+    policy, python = found.policy(), PythonSARSA(learner)
+    python.weights = drawn.reshape(-1, ACTIONS)
+    states = [walk.first, *(step.next_state for step in walk.steps[::8])]
+    chosen = [policy(state) for state in states]
+    assert chosen == [int(python.values(python.concepts(state)).argmax()) for state in states]
+    assert len(set(chosen)) > 2
+    scheduled = RelationalHORDQ(pseudo_reward=lambda episode: 1.0 / (1 + episode))
+    with pytest.raises(ValueError, match="needs a number for pseudo_reward, which is a schedule"):
+        hrl.Learned(ENV, scheduled, state.tables).policy()
+
+
+def test_a_learner_with_a_root_comes_back_from_disk(tmp_path: Path):
+    learner = RelationalHORDQ(root=ROOT, pseudo_reward=3.0)
+    shapes = jax.eval_shape(lambda: learner.init(ENV, learner.prepare(ENV)).tables)
+    tables = jax.tree.map(lambda leaf: np.ones(leaf.shape, leaf.dtype), shapes)
+    hrl.Learned(ENV, learner, tables).save(tmp_path / "x.npz")
+    found = hrl.Learned.load(tmp_path / "x.npz")
+    assert (found.env, found.learner) == (ENV, learner)
+    chex.assert_trees_all_equal(found.tables, tables)
+
+
+@pytest.mark.parametrize("pessimism", [-1.0, float("nan"), float("inf")])
+def test_wrong_pessimism_is_refused(pessimism: float):
+    with pytest.raises(ValueError, match=r"pessimism must be a finite number in \[0, 3\.4e\+38\]"):
+        hrl.MarioModel(pessimism=pessimism)
