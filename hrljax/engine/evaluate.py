@@ -12,7 +12,7 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from hrljax.core.numerics import expectation
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.layout import TaskGraph
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.learners.base import Learner
@@ -27,7 +27,7 @@ class _Chances(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _chances(env: TabularEnvironment[Any, Any], params: Any) -> _Chances:
+def _chances(env: AnyTabularEnvironment, params: Any) -> _Chances:
     model = env.model(params)
     follows = np.where(model.terminated, 0.0, model.probability)
     reward = (model.probability * model.reward).sum(-1)
@@ -84,14 +84,14 @@ class _Stacks:
 
 
 def greedy_return(
-    learner: Learner, env: TabularEnvironment[Any, Any], prepared: Any, tables: Any, params: Any, zero: Array
+    learner: Learner, env: AnyTabularEnvironment, prepared: Any, tables: Any, params: Any, zero: Array
 ) -> Array:
     """Expected return (float32 scalar) of an episode if the learner were greedy from now on; see `expected_return`."""
     return expected_return(env, learner.greedy_policy(env, prepared, tables, zero), params, zero)
 
 
 def expected_return(
-    env: TabularEnvironment[Any, Any], policy: HierarchicalPolicy, params: Any, zero: Array, tolerance: float = 1e-4
+    env: AnyTabularEnvironment, policy: HierarchicalPolicy, params: Any, zero: Array, tolerance: float = 1e-4
 ) -> Array:
     """Expected undiscounted return of an episode, cut off at ``params.max_steps`` (float32 scalar).
 

@@ -11,10 +11,10 @@ from hrljax.core.counting import Count
 from hrljax.core.numerics import stage, take
 from hrljax.core.random import WordBlock
 from hrljax.engine.counters import BLOCK, Amounts, Flags, Tally
-from hrljax.envs.base import Environment, TabularEnvironment
+from hrljax.envs.base import AnyEnvironment, AnyTabularEnvironment, TabularEnvironment
 from hrljax.envs.outcomes import OutcomeTable, numbered_step, outcome_table
 
-Env = Environment[Any, Any]
+Env = AnyEnvironment
 Counter = TypeVar("Counter", Flags, Amounts)
 
 
@@ -67,9 +67,9 @@ class _Computed(Simulator[Amounts]):
 class _Tabular(Simulator[Flags]):
     """A tabular environment: states are numbers, events are flags."""
 
-    env: TabularEnvironment[Any, Any]
+    env: AnyTabularEnvironment
 
-    def __init__(self, env: TabularEnvironment[Any, Any], params: Any, num_learner_words: int):
+    def __init__(self, env: AnyTabularEnvironment, params: Any, num_learner_words: int):
         super().__init__(env, params, num_learner_words)
         self.counter = Flags(len(env.metrics))
         self._computed = stage(self._compute)
@@ -95,7 +95,7 @@ class _Tabular(Simulator[Flags]):
 class _LookedUp(_Tabular):
     """A tabular environment whose steps are looked up."""
 
-    def __init__(self, env: TabularEnvironment[Any, Any], params: Any, num_learner_words: int, table: OutcomeTable):
+    def __init__(self, env: AnyTabularEnvironment, params: Any, num_learner_words: int, table: OutcomeTable):
         super().__init__(env, params, num_learner_words)
         self._table = table
 

@@ -16,14 +16,14 @@ from hrljax.engine.counters import BLOCK
 from hrljax.engine.evaluate import greedy_return
 from hrljax.engine.simulator import simulator
 from hrljax.engine.start import Start, Startable, checked_start, steps_of
-from hrljax.envs.base import Environment, TabularEnvironment, numbers_of
+from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training, check_declarations
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment
 from hrljax.learners.hyperparameters import tabulated
 
 _BEGIN_STREAM = 2
 
-Env = Environment[Any, Any]
+Env = AnyEnvironment
 Evaluate = Callable[[Any], Array]
 
 

@@ -2,14 +2,14 @@
 
 An environment describes one episode for one agent, in scalars. `reset` and `step` take keys, as in
 gymnax 1.0, and never reset by themselves. Under them lie `initial` and `transition`, which are
-deterministic in explicit random words (`hrljax.random`): a training loop feeds them random words,
+deterministic in explicit random words (`hrljax.core.random`): a training loop feeds them random words,
 `exact_model` feeds them one word of every kind, so that the simulator and the model cannot disagree.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import gymnasium
 import jax.numpy as jnp
@@ -51,7 +51,7 @@ def concrete_number(field: str, value: Any) -> Any:
     return value if isinstance(value, Tracer) else np.float32(value)
 
 
-def numbers_of(env: "Environment[Any, Any]", params: Any) -> Any:
+def numbers_of(env: "AnyEnvironment", params: Any) -> Any:
     """The numbers of an environment, its default ones if None, as `concrete_params` gives them.
 
     Raises:
@@ -74,7 +74,7 @@ def check_options(env: object, options: Mapping[str, tuple[Any, ...]]) -> None:
         checks.choice(option, getattr(env, option), allowed)
 
 
-def check_render_mode(env: "Environment[Any, Any]", mode: object) -> None:
+def check_render_mode(env: "AnyEnvironment", mode: object) -> None:
     """Raises ValueError unless `env` can draw in `mode`."""
     if mode not in env.render_modes:
         allowed = ", ".join(map(repr, env.render_modes)) or f"nothing, for {env.name} has no pictures"
@@ -261,3 +261,7 @@ class TabularEnvironment(Environment[State, Params]):
                 f"{checks.described(numbers)}"
             )
         return numbers
+
+
+AnyEnvironment: TypeAlias = Environment[Any, Any]
+AnyTabularEnvironment: TypeAlias = TabularEnvironment[Any, Any]

@@ -6,14 +6,14 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
-from hrljax.envs.base import Environment
+from hrljax.envs.base import AnyEnvironment
 
 METADATA = {"render_modes": ["ansi", "rgb_array"], "render_fps": 4}
 
 _WIDE = {"b": np.bool_, "i": np.int64, "u": np.int64, "f": np.float64}
 
 
-def metadata_of(env: Environment[Any, Any]) -> dict[str, Any]:
+def metadata_of(env: AnyEnvironment) -> dict[str, Any]:
     """`METADATA` with the render modes that `env` has."""
     return {**METADATA, "render_modes": list(env.render_modes)}
 

@@ -8,17 +8,17 @@ from typing import Any
 import gymnasium
 
 from hrljax.core import checks
-from hrljax.envs.base import Environment
+from hrljax.envs.base import AnyEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.gridworld import Gridworld
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.taxi.env import Taxi
 
-_ENVIRONMENTS: dict[str, Callable[..., Environment[Any, Any]]] = {}
+_ENVIRONMENTS: dict[str, Callable[..., AnyEnvironment]] = {}
 
 
-def register(name: str, make: Callable[..., Environment[Any, Any]]) -> None:
+def register(name: str, make: Callable[..., AnyEnvironment]) -> None:
     """Makes an environment known to `make`, and to Gymnasium as ``hrljax/<name>-v0``.
 
     Raises:

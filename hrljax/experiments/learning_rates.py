@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from hrljax import stats
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
@@ -33,7 +33,7 @@ class Domain:
     """A domain with its learners, which differ in how they learn only."""
 
     name: str
-    env: TabularEnvironment[Any, Any]
+    env: AnyTabularEnvironment
     max_steps: int
     episodes: int
     initial_value: float

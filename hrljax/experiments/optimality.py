@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hrljax import plots, stats
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid import cell_render
 from hrljax.envs.grid.maze import Maze
@@ -43,7 +43,7 @@ class Domain:
     """A domain with its learners; `pseudo_reward` is that of the exact recursively optimal policy."""
 
     name: str
-    env: TabularEnvironment[Any, Any]
+    env: AnyTabularEnvironment
     max_steps: int
     episodes: int
     pseudo_reward: float
@@ -54,7 +54,7 @@ class Domain:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
 
-def _neighbours(env: TabularEnvironment[Any, Any], maxq: float, hordq: float, **numbers: Any) -> dict[str, Learner]:
+def _neighbours(env: AnyTabularEnvironment, maxq: float, hordq: float, **numbers: Any) -> dict[str, Learner]:
     """HORDQ and the methods around it, with the same numbers and a root that learns."""
     hierarchy = env.hierarchy()
     complete = total_leaf_cover(hierarchy, active=tabulate(hierarchy, env).active).hierarchy

@@ -83,7 +83,7 @@ class Policy:
 
 
 def from_hierarchical(policy: Any, generator: np.random.Generator) -> Policy:
-    """The same as a `hrljax.hierarchy.definition.policy.HierarchicalPolicy`."""
+    """The same as a `hrljax.hierarchy.policy.HierarchicalPolicy`."""
     graph = policy.graph
     kinds = [graph.kind(task) for task in range(graph.num_tasks)]
     width = graph.num_slots

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.envs.base import Environment, numbers_of
+from hrljax.envs.base import AnyEnvironment, Environment, numbers_of
 from hrljax.envs.registry import make
 
-Env = Environment[Any, Any]
+Env = AnyEnvironment
 
 
 class Batch(NamedTuple):

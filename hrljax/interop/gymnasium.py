@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from hrljax.core import checks
-from hrljax.envs.base import Environment, check_render_mode
+from hrljax.envs.base import AnyEnvironment, check_render_mode
 from hrljax.envs.numpy_values import METADATA, as_element, as_python, metadata_of
 from hrljax.interop import episodes
 from hrljax.interop.gymnasium_table import from_table
@@ -47,7 +47,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     def __init__(
         self,
-        environment: str | Environment[Any, Any],
+        environment: str | AnyEnvironment,
         *,
         params: Mapping[str, float] | Any = None,
         render_mode: str | None = None,

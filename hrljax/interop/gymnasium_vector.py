@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from hrljax.core import checks
-from hrljax.envs.base import Environment, check_render_mode
+from hrljax.envs.base import AnyEnvironment, check_render_mode
 from hrljax.envs.numpy_values import METADATA, as_element, entry, metadata_of, widened
 from hrljax.interop import episodes
 
@@ -44,7 +44,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
 
     def __init__(
         self,
-        environment: str | Environment[Any, Any],
+        environment: str | AnyEnvironment,
         num_envs: int = 1,
         *,
         params: Mapping[str, float] | Any = None,

@@ -16,7 +16,7 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from hrljax.core import checks
-from hrljax.envs.base import Environment, TabularEnvironment, check_options, concrete_number
+from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, check_options, concrete_number
 from hrljax.interop.episodes import made
 from hrljax.interop.gymnax_spaces import box_of_ones, gymnax_space
 
@@ -83,7 +83,7 @@ class GymnaxEnvironment:
         ValueError: an attribute has another value, or `one_hot` does not fit the environment.
     """
 
-    environment: Environment[Any, Any]
+    environment: AnyEnvironment
     one_hot: bool = False
     step_values: Literal[5, 6] = 6
 
@@ -182,7 +182,7 @@ class GymnaxEnvironment:
 
 
 def make(
-    name: str | Environment[Any, Any],
+    name: str | AnyEnvironment,
     *,
     one_hot: bool = False,
     step_values: Literal[5, 6] = 6,

@@ -1,7 +1,7 @@
 """Dyna-Q: Q-learning that replays what it remembers of the environment."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from hrljax.core import choices
 from hrljax.core.counting import count
 from hrljax.core.numerics import put_row, take
 from hrljax.core.random import word_block
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
 from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import StepSizeLearner, row_of
@@ -59,7 +59,7 @@ class DynaQ(StepSizeLearner):
     def num_words(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride] (depends on a field)
         return 3 if self.planning_steps else 1
 
-    def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
+    def init(self, env: AnyTabularEnvironment, prepared: int) -> LearnerState:
         values = self.initial_values(env)
         samples = model.empty(env.num_states, prepared, self.outcomes_kept)
         visited = jnp.zeros(len(values), jnp.int32)

@@ -17,7 +17,7 @@ from jax import Array, lax
 from hrljax.core import checks, choices
 from hrljax.core.flags import Flag, both, choose, either, opposite
 from hrljax.core.random import threshold
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.layout import Kind, TaskGraph, task_graph
 from hrljax.hierarchy.policy import HierarchicalPolicy
@@ -141,11 +141,11 @@ class StackLearner(ChildValues):
 
     # What a training loop calls.
 
-    def prepare(self, env: TabularEnvironment[Any, Any]) -> Prepared:
+    def prepare(self, env: AnyTabularEnvironment) -> Prepared:
         root = None if self.root is None else self.root.prepare(self.hierarchy, env)
         return Prepared(task_graph(self.hierarchy, env, self.root is None), root)
 
-    def init(self, env: TabularEnvironment[Any, Any], prepared: Prepared) -> LearnerState:
+    def init(self, env: AnyTabularEnvironment, prepared: Prepared) -> LearnerState:
         graph = prepared.graph
         cells = graph.num_states * graph.num_slots
 
@@ -225,7 +225,7 @@ class StackLearner(ChildValues):
         return tables._replace(root=self.root.plan(prepared.root, tables.root, moment))
 
     def greedy_policy(
-        self, env: TabularEnvironment[Any, Any], prepared: Prepared, tables: Tables, zero: Array
+        self, env: AnyTabularEnvironment, prepared: Prepared, tables: Tables, zero: Array
     ) -> HierarchicalPolicy:
         graph = prepared.graph
         states = jnp.arange(env.num_states, dtype=jnp.int32)

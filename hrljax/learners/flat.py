@@ -8,7 +8,7 @@ from jax import Array, lax
 
 from hrljax.core import choices
 from hrljax.core.numerics import put_row, take, take_row
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
 from hrljax.learners import updates
 from hrljax.learners.base import Experience, Learner, LearnerState, Moment
@@ -28,7 +28,7 @@ class ActionValueLearner(Learner):
         """``[S * A]`` float32, state by state."""
         return tables.values
 
-    def prepare(self, env: TabularEnvironment[Any, Any]) -> int:
+    def prepare(self, env: AnyTabularEnvironment) -> int:
         return env.num_actions
 
     def begin(self, prepared: int, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
@@ -37,9 +37,7 @@ class ActionValueLearner(Learner):
     def action(self, control: Any) -> Array:
         return control
 
-    def greedy_policy(
-        self, env: TabularEnvironment[Any, Any], prepared: int, tables: Any, zero: Array
-    ) -> HierarchicalPolicy:
+    def greedy_policy(self, env: AnyTabularEnvironment, prepared: int, tables: Any, zero: Array) -> HierarchicalPolicy:
         actions = jnp.argmax(self.action_values(tables).reshape(-1, prepared), axis=-1).astype(jnp.int32)
         return flat_policy(env, actions)
 
@@ -62,7 +60,7 @@ class StepSizeLearner(ActionValueLearner):
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
 
-    def initial_values(self, env: TabularEnvironment[Any, Any]) -> Array:
+    def initial_values(self, env: AnyTabularEnvironment) -> Array:
         """``[S * A]`` float32: a table of action values before the first episode."""
         return jnp.full(env.num_states * env.num_actions, jnp.asarray(self.initial_value, jnp.float32))
 
@@ -84,7 +82,7 @@ class _OneStep(StepSizeLearner):
     def action_values(self, tables: Array) -> Array:
         return tables
 
-    def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
+    def init(self, env: AnyTabularEnvironment, prepared: int) -> LearnerState:
         return LearnerState(self.initial_values(env), jnp.int32(0))
 
     def learn(

@@ -1,14 +1,14 @@
 """R-MAX: optimism about every state and action that is not known yet."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
 from hrljax.core.numerics import exact_product, once_if, take
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
 from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import ActionValueLearner, row_of
@@ -59,7 +59,7 @@ class RMax(ActionValueLearner):
         self._check_integer("known_after", 1)
         self._check_integer("planning_sweeps", 1)
 
-    def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
+    def init(self, env: AnyTabularEnvironment, prepared: int) -> LearnerState:
         values = jnp.full(env.num_states * prepared, self._optimistic())
         samples = model.empty(env.num_states, prepared, self.known_after)
         return LearnerState(RMaxTables(values, samples), jnp.int32(0))

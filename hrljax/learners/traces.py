@@ -5,14 +5,14 @@ visited last and walks it from the newest to the oldest, instead of decaying a t
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core import choices
 from hrljax.core.numerics import exact_product, put_row, take, take_row
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import updates
 from hrljax.learners.base import Experience, LearnerState, Moment
 from hrljax.learners.flat import StepSizeLearner, row_of
@@ -65,7 +65,7 @@ class _Traced(StepSizeLearner):
         """Length of the ring: a power of two, so that positions wrap by a mask."""
         return 1 << (self.trace_length - 1).bit_length()
 
-    def init(self, env: TabularEnvironment[Any, Any], prepared: int) -> LearnerState:
+    def init(self, env: AnyTabularEnvironment, prepared: int) -> LearnerState:
         visited = jnp.full(self._ring, _NO_PAIR, jnp.int32)
         return LearnerState(TraceTables(self.initial_values(env), visited), TraceControl(jnp.int32(0), jnp.int32(0)))
 

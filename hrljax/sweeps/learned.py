@@ -18,7 +18,7 @@ import numpy as np
 from hrljax.core import checks
 from hrljax.core.files import write_atomically
 from hrljax.engine.start import Start, described, learned_shapes, named_leaves, step_words, tree_of
-from hrljax.envs.base import Environment
+from hrljax.envs.base import AnyEnvironment, Environment
 from hrljax.envs.registry import make, registered
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
@@ -49,7 +49,7 @@ class Learned:
         steps: primitive steps of these episodes.
     """
 
-    def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any, *, episodes: int = 0, steps: int = 0):
+    def __init__(self, env: AnyEnvironment, learner: Learner, tables: Any, *, episodes: int = 0, steps: int = 0):
         """
         Raises:
             TypeError: an argument is of the wrong kind.
@@ -150,9 +150,7 @@ class Learned:
         write_atomically(path, content.getvalue())
 
     @classmethod
-    def load(
-        cls, path: str | Path, env: Environment[Any, Any] | None = None, learner: Learner | None = None
-    ) -> Learned:
+    def load(cls, path: str | Path, env: AnyEnvironment | None = None, learner: Learner | None = None) -> Learned:
         """Reads a file that `save` wrote.
 
         Args:
@@ -212,7 +210,7 @@ class StatePolicy:
     It decides in every state anew: a root that follows a sequence of actions searches in every step.
     """
 
-    def __init__(self, env: Environment[Any, Any], learner: Learner, tables: Any):
+    def __init__(self, env: AnyEnvironment, learner: Learner, tables: Any):
         """
         Raises:
             ValueError: the learner has a schedule.

@@ -75,7 +75,7 @@ def sweep(
         params: numbers of the environment, `env.default_params` if None.
         bin_size: episodes in a bin; about a 200th of the run if None.
         evaluate_every: evaluates the greedy policy exactly after every so many bins; never if None.
-        keep_learned: whether to keep the tables that every run ends with, for `hrljax.learned`.
+        keep_learned: whether to keep the tables that every run ends with, for `hrljax.Learned`.
         mapping: ``"native"``, ``"vmap"``, or ``"auto"``: the former on CPUs, the latter elsewhere.
         cores: cores to use, all if None; with an executor, the chunks that it is given at a time.
         chunk_size: runs in a chunk; chosen if None.

@@ -5,7 +5,7 @@ drawing starts a new figure, which is ``ax.figure``, and needs neither a display
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -19,7 +19,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import ArrayLike
 
 from hrljax.core import checks
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.grid.ascii_map import MOVES, text_lines
 
 INK, FAINT, ALARM, VEHICLE, PERSON = "#222222", "#777777", "#CC3311", "#DDAA33", "#004488"
@@ -55,7 +55,7 @@ def checked_integer(argument: str, value: ArrayLike, largest: int, meaning: str)
     return checks.integer(argument, int(value) if is_flag else value, 0, largest, meaning=meaning)  # type: ignore[arg-type]
 
 
-def policy_at(env: TabularEnvironment[Any, Any], policy: ArrayLike, states: ArrayLike) -> np.ndarray:
+def policy_at(env: AnyTabularEnvironment, policy: ArrayLike, states: ArrayLike) -> np.ndarray:
     """The actions of an ``[S]`` policy in states with these numbers, after checking it."""
     actions = _checked_table(env, "policy", policy, "iu", "integers")[np.asarray(states)]
     if not np.isin(actions, range(env.num_actions)).all():
@@ -63,14 +63,12 @@ def policy_at(env: TabularEnvironment[Any, Any], policy: ArrayLike, states: Arra
     return actions
 
 
-def value_at(env: TabularEnvironment[Any, Any], value: ArrayLike, states: ArrayLike) -> np.ndarray:
+def value_at(env: AnyTabularEnvironment, value: ArrayLike, states: ArrayLike) -> np.ndarray:
     """The entries (float64) of an ``[S]`` value function for states with these numbers, after checking it."""
     return _checked_table(env, "value", value, "fiu", "real numbers")[np.asarray(states)].astype(np.float64)
 
 
-def _checked_table(
-    env: TabularEnvironment[Any, Any], argument: str, table: ArrayLike, kinds: str, meaning: str
-) -> np.ndarray:
+def _checked_table(env: AnyTabularEnvironment, argument: str, table: ArrayLike, kinds: str, meaning: str) -> np.ndarray:
     array = np.asarray(table)
     if array.shape != (env.num_states,) or array.dtype.kind not in kinds:
         allowed = f"{meaning} of shape ({env.num_states},)"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hrljax.core import checks
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment, TabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import tabulate
 from hrljax.solvers.dynamic_programming import value_iteration
@@ -135,7 +135,7 @@ class Options:
         )
 
 
-def primitive_options(env: TabularEnvironment[Any, Any]) -> Options:
+def primitive_options(env: AnyTabularEnvironment) -> Options:
     """Every primitive action as an option of one step, and no other option.
 
     Raises:
@@ -148,7 +148,7 @@ def primitive_options(env: TabularEnvironment[Any, Any]) -> Options:
 
 def options_from(
     hierarchy: Hierarchy,
-    env: TabularEnvironment[Any, Any],
+    env: AnyTabularEnvironment,
     names: Sequence[str] | None = None,
     *,
     primitives: bool = True,

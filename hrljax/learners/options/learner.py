@@ -1,7 +1,7 @@
 """Learning over options: SMDP Q-learning and intra-option Q-learning (Sutton, Precup and Singh 1999)."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +10,7 @@ from jax import Array, lax
 from hrljax.core import checks, choices
 from hrljax.core.numerics import exact_product, put_row, take_row
 from hrljax.core.random import threshold
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.layout import Kind, TaskGraph
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.hierarchy.tables import TaskTables, state_in_words
@@ -80,11 +80,11 @@ class OptionQ(Learner):
         checks.instance("OptionQ: options", self.options, Options, "Options such as options_from(...)")
         self._check_choice("update", Update)
 
-    def prepare(self, env: TabularEnvironment[Any, Any]) -> OptionTables:
+    def prepare(self, env: AnyTabularEnvironment) -> OptionTables:
         """Raises ValueError if the options are not over the environment, or in some state none can begin."""
         return option_tables(self.options, env)
 
-    def init(self, env: TabularEnvironment[Any, Any], prepared: OptionTables) -> LearnerState:
+    def init(self, env: AnyTabularEnvironment, prepared: OptionTables) -> LearnerState:
         """Tables: ``[S * O]`` float32 values of options, state by state."""
         none, value = jnp.int32(0), jnp.asarray(self.initial_value, jnp.float32)
         control = Running(none, none, none, jnp.float32(0), jnp.float32(1))
@@ -137,7 +137,7 @@ class OptionQ(Learner):
         return LearnerState(q, control)
 
     def greedy_policy(
-        self, env: TabularEnvironment[Any, Any], prepared: OptionTables, tables: Array, zero: Array
+        self, env: AnyTabularEnvironment, prepared: OptionTables, tables: Array, zero: Array
     ) -> HierarchicalPolicy:
         q = tables.reshape(-1, prepared.num_options).T
         can_begin = jnp.asarray(prepared.initiation)
@@ -167,7 +167,7 @@ def _best(values: Array, row: Array) -> tuple[Array, Array]:
     return choices.greedy([lax.select((row[o] & 1) != 0, values[o], never) for o in range(len(values))])
 
 
-def option_tables(options: Options, env: TabularEnvironment[Any, Any]) -> OptionTables:
+def option_tables(options: Options, env: AnyTabularEnvironment) -> OptionTables:
     """The options as rows, and as the subtasks of a root that picks one and lets it run.
 
     Raises:
@@ -197,7 +197,7 @@ def option_tables(options: Options, env: TabularEnvironment[Any, Any]) -> Option
     return OptionTables(np.ascontiguousarray(rows.T).ravel(), options.num_options, initiation, graph)
 
 
-def _check_always_one(options: Options, env: TabularEnvironment[Any, Any]) -> None:
+def _check_always_one(options: Options, env: AnyTabularEnvironment) -> None:
     """Follows the options from every first state, and raises where one has to be called and none can begin."""
     successors = env.model().successors()
     calls = list(np.flatnonzero(env.initial_distribution()))

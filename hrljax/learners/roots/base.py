@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from jax import Array
 
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.learners.base import Moment
 from hrljax.learners.hyperparameters import Settings
@@ -36,7 +36,7 @@ class Root(Settings):
         return 0
 
     @abstractmethod
-    def prepare(self, hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> Any:
+    def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> Any:
         """Tables that the root needs, made once on the host."""
 
     def init(self, prepared: Any) -> Any:

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import TaskTables, parts_of_states, tabulate
 from hrljax.solvers.model import Model
@@ -59,7 +58,7 @@ def decision_states(tables: TaskTables, model: Model, initial: np.ndarray) -> np
 
 
 @lru_cache(maxsize=64)
-def planning_points(hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> DecisionPoints:
+def planning_points(hierarchy: Hierarchy, env: AnyTabularEnvironment) -> DecisionPoints:
     """The decision points of a root that plans, and the outcomes that each subtask can have there.
 
     Outcomes are those that are possible under the environment's default parameters.

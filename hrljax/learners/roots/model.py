@@ -10,7 +10,7 @@ from jax import Array, lax
 from hrljax.core import choices
 from hrljax.core.numerics import expectation, put_row, stage, take, take_row
 from hrljax.core.random import threshold
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.learners.base import Moment
 from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
@@ -60,7 +60,7 @@ class ModelRoot(Root):
     def planning_interval(self) -> int:
         return self.interval if self.sweeps else 0
 
-    def prepare(self, hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> DecisionPoints:
+    def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> DecisionPoints:
         return planning_points(hierarchy, env)
 
     def init(self, prepared: DecisionPoints) -> ModelTables:

@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array
 
 from hrljax.core.numerics import take
-from hrljax.envs.base import TabularEnvironment
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import TaskTables, tabulate
 from hrljax.learners.roots.base import ChildValue, Decision, Root
@@ -20,7 +20,7 @@ class RandomRoot(Root):
 
     name = "random"
 
-    def prepare(self, hierarchy: Hierarchy, env: TabularEnvironment[Any, Any]) -> TaskTables:
+    def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> TaskTables:
         return tabulate(hierarchy, env)
 
     def choose(
