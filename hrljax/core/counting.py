@@ -63,10 +63,10 @@ def total(shape: tuple[int, ...] = ()) -> Total:
     return Total(jnp.zeros(shape, jnp.float32), jnp.zeros(shape, jnp.float32))
 
 
-def one_more(number: Array, period: int, live: Array) -> Array:
-    """``number + 1`` where `live` (int32), of what counts the uses of `period` places in turn.
+def one_more(number: Array, period: int, learns: Array) -> Array:
+    """``number + 1`` where `learns` (int32), of what counts the uses of `period` places in turn.
 
     At 2^30 it goes back by `period`: it stays large, and the place that it means, its remainder, is right.
     """
-    more = number + live.astype(jnp.int32)
+    more = number + learns.astype(jnp.int32)
     return more - (more >= np.int32(2**30)).astype(jnp.int32) * np.int32(period)

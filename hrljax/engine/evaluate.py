@@ -13,9 +13,9 @@ from jax.core import Tracer
 
 from hrljax.core.numerics import expectation
 from hrljax.envs.base import AnyTabularEnvironment
-from hrljax.hierarchy.layout import TaskGraph
+from hrljax.hierarchy.layout import StackLayout
 from hrljax.hierarchy.policy import HierarchicalPolicy
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner, outside_of_training
 
 
 class _Chances(NamedTuple):
@@ -44,22 +44,22 @@ def _chances(env: AnyTabularEnvironment, params: Any) -> _Chances:
 class _Stacks:
     """All stacks of subtasks that a hierarchy allows, as numbers; the last number is that of an empty one."""
 
-    def __init__(self, graph: TaskGraph):
-        self.graph = graph
-        self.chains: list[tuple[int, ...]] = [(task,) for task in graph.levels[0]]
+    def __init__(self, layout: StackLayout):
+        self.layout = layout
+        self.chains: list[tuple[int, ...]] = [(task,) for task in layout.levels[0]]
         for chain in self.chains:
-            self.chains += [(*chain, child) for child in graph.kind(chain[-1]).tasks if child >= 0]
+            self.chains += [(*chain, child) for child in layout.children(chain[-1]).tasks if child >= 0]
         self.number = {chain: i for i, chain in enumerate(self.chains)}
 
     def left(self) -> np.ndarray:
         """``[stacks, S]`` int32: what is left of a stack in a state, after terminated subtasks have gone."""
-        active = self.graph.tables.active[self.graph.offset :].copy()
-        if not self.graph.offset:
+        active = self.layout.active.copy()
+        if not self.layout.offset:
             active[0] = True  # the root ends with the episode
         left = []
         for chain in self.chains:
-            remains = np.full(self.graph.num_states, len(self.chains), np.int32)
-            running = np.ones(self.graph.num_states, np.bool_)
+            remains = np.full(self.layout.num_states, len(self.chains), np.int32)
+            running = np.ones(self.layout.num_states, np.bool_)
             for length, task in enumerate(chain, start=1):
                 running = running & active[task]
                 remains = np.where(running, np.int32(self.number[chain[:length]]), remains)
@@ -70,24 +70,25 @@ class _Stacks:
         """``[stacks, S]`` int32 each: the stack and the action after the subtask on top of a stack decides."""
         stacks: dict[tuple[int, ...], tuple[Array, Array]] = {}
         for chain in reversed(self.chains):  # longer ones first
-            kind, slot = self.graph.kind(chain[-1]), slots[chain[-1]]
-            action = jnp.asarray(np.array(kind.actions, np.int32))[slot]
+            children, slot = self.layout.children(chain[-1]), slots[chain[-1]]
+            action = jnp.asarray(np.array(children.actions, np.int32))[slot]
             stack = jnp.full_like(action, self.number[chain])
-            for k, child in enumerate(kind.tasks):
+            for k, child in enumerate(children.tasks):
                 if child >= 0:
                     its_stack, its_action = stacks[(*chain, child)]
                     stack = lax.select(slot == k, its_stack, stack)
                     action = lax.select(slot == k, its_action, action)
             stacks[chain] = (stack, action)
-        found = [stacks[chain] for chain in self.chains]
-        return jnp.stack([stack for stack, _ in found]), jnp.stack([action for _, action in found])
+        in_order = [stacks[chain] for chain in self.chains]
+        return jnp.stack([stack for stack, _ in in_order]), jnp.stack([action for _, action in in_order])
 
 
 def greedy_return(
-    learner: Learner, env: AnyTabularEnvironment, prepared: Any, tables: Any, params: Any, zero: Array
+    learner: AnyLearner, env: AnyTabularEnvironment, prepared: Any, tables: Any, params: Any, zero: Array
 ) -> Array:
     """Expected return (float32 scalar) of an episode if the learner were greedy from now on; see `expected_return`."""
-    return expected_return(env, learner.greedy_policy(env, prepared, tables, zero), params, zero)
+    policy = learner.greedy_policy(env, prepared, tables, outside_of_training(zero))
+    return expected_return(env, policy, params, zero)
 
 
 def expected_return(
@@ -104,9 +105,9 @@ def expected_return(
     if any(isinstance(value, Tracer) for value in params):
         raise ValueError("exact evaluation needs fixed params: it cannot be combined with an axis of the environment")
     chances = _chances(env, params)
-    stacks, choice = _Stacks(policy.graph), policy.choice
+    stacks, choice = _Stacks(policy.layout), policy.choice
     stack, action = stacks.decided(policy.slots)
-    left, num_stacks, num_states = jnp.asarray(stacks.left()), len(stacks.chains), policy.graph.num_states
+    left, num_stacks, num_states = jnp.asarray(stacks.left()), len(stacks.chains), policy.layout.num_states
     pair = jnp.arange(num_states, dtype=jnp.int32)[None] * chances.num_actions + action  # [stacks, S]
     after = jnp.asarray(chances.next_state)[pair]  # [stacks, S, K]
     probability = jnp.asarray(chances.probability)[pair]
@@ -117,7 +118,7 @@ def expected_return(
         """[S]: value of a state in which the root decides."""
         if choice is None:
             return value[0]
-        children = policy.graph.levels[0]  # the first stacks are those of one subtask each
+        children = policy.layout.levels[0]  # the first stacks are those of one subtask each
         return expectation([choice[:, task] for task in children], list(value[: len(children)]), zero)
 
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

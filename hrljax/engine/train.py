@@ -18,7 +18,7 @@ from hrljax.engine.simulator import simulator
 from hrljax.engine.start import Start, Startable, checked_start, steps_of
 from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training, check_declarations
-from hrljax.learners.base import Experience, Learner, LearnerState, Moment
+from hrljax.learners.base import AnyLearner, Context, Learner, LearnerState, Transition
 from hrljax.learners.hyperparameters import tabulated
 
 _BEGIN_STREAM = 2
@@ -128,7 +128,7 @@ def default_bin_size(num_episodes: int) -> int:
 
 def train(
     env: Env,
-    learner: Learner,
+    learner: AnyLearner,
     key: Array,
     num_episodes: int,
     *,
@@ -136,7 +136,6 @@ def train(
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     start: Startable | Start | None = None,
-    lockstep: bool = False,
 ) -> Run:
     """Trains a learner for a number of episodes. Pure, for one seed; jit and vmap it.
 
@@ -154,12 +153,31 @@ def train(
         start: what training goes on from, a `Run` or a `hrljax.Learned`; from scratch if None. With the
             same key, a run of 500 episodes and 500 more give the same bits as one of 1000; a schedule is
             read on from the episode where the first run ended.
-        lockstep: how the loop is built, not what it computes. True suits `vmap`, where all runs of
-            a batch take their steps together; False suits one run.
 
     Raises:
         TypeError, ValueError: a bad argument, or an environment that is not as `hrljax.check` wants it;
             before anything is compiled.
+    """
+    return run(env, learner, key, num_episodes, params, bin_size, evaluate_every, start)
+
+
+def run(
+    env: Env,
+    learner: AnyLearner,
+    key: Array,
+    num_episodes: int,
+    params: Any = None,
+    bin_size: int | None = None,
+    evaluate_every: int | None = None,
+    start: Startable | Start | None = None,
+    vmapped: bool = False,
+) -> Run:
+    """`train`, with its loop built for the mapping.
+
+    Args:
+        env, learner, key, num_episodes, params, bin_size, evaluate_every, start: as of `train`.
+        vmapped: how the loop is built, not what it computes. True suits `vmap`, where all runs of
+            a batch take their steps together; False suits one run.
     """
     num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
     random.check_key(key)
@@ -167,7 +185,7 @@ def train(
     check_before_training(env, params, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
     learner = tabulated(learner, num_episodes, 0 if begin is None else begin.episodes)
-    trainer = _Trainer(env, learner, key, params, num_episodes, lockstep, begin)
+    trainer = _Trainer(env, learner, key, params, num_episodes, vmapped, begin)
     return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
 
 
@@ -203,15 +221,15 @@ class _Trainer:
     def __init__(
         self,
         env: Env,
-        learner: Learner,
+        learner: AnyLearner,
         key: Array,
         params: Any,
         num_episodes: int,
-        lockstep: bool,
+        vmapped: bool,
         start: Start | None = None,
     ):
         self.env, self.learner, self.params = env, learner, params
-        self.num_episodes, self.lockstep = num_episodes, lockstep
+        self.num_episodes, self.vmapped = num_episodes, vmapped
         self.start, self.first_episode = start, 0 if start is None else start.episodes
         self.key = random.key_words(key)
         self.prepared = learner.prepare(env)
@@ -257,8 +275,8 @@ class _Trainer:
             state = state._replace(tables=jax.tree.map(_like, state.tables, self.start.learned))
             steps = Count(*self.start.step_words)
         episode = jnp.int32(self.first_episode)
-        moment = Moment(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.lockstep)
-        control, first = self._begin(state.tables, episode, moment)
+        context = Context(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.vmapped)
+        control, first = self._begin(state.tables, episode, context)
         events, zero = jnp.zeros(len(self.env.metrics), jnp.float32), jnp.int32(0)
         state = state._replace(control=control)
         loop = _Loop(state, first, zero, episode, jnp.float32(0), events, zero, jnp.bool_(False))
@@ -277,8 +295,8 @@ class _Trainer:
         loop = progress.loop
         interval = self.learner.planning_interval
         if interval:
-            moment = Moment(loop.episode, jnp.bool_(True), _zero(loop), self.lockstep)
-            tables = moment.when(
+            context = Context(loop.episode, jnp.bool_(True), _zero(loop), self.vmapped)
+            tables = context.when(
                 loop.episode % interval == 0,
                 lambda tables, now: self.learner.plan(self.prepared, tables, now),
                 loop.learner.tables,
@@ -298,7 +316,7 @@ class _Trainer:
             small = lax.cond(loop.is_over, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
             return _with(loop, small), taken
 
-        def in_lockstep(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+        def together(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
             """One step, which other runs take at the same time, and then perhaps the next beginning."""
             live = (carry[0].episode < end) & (carry[1] < most)
             loop, taken = self._stretch(*carry, most, words, live)
@@ -307,25 +325,25 @@ class _Trainer:
 
         no_events = jnp.zeros(len(self.env.metrics), jnp.float32)
         start = (progress.loop._replace(reward=jnp.float32(0), events=no_events), jnp.int32(0))
-        if self.lockstep:
-            loop, taken = lax.fori_loop(0, BLOCK, in_lockstep, start)
+        if self.vmapped:
+            loop, taken = lax.fori_loop(0, BLOCK, together, start)
         else:
             loop, taken = lax.while_loop(lambda c: (c[1] < most) & (c[0].episode < end), alone, start)
         sums = progress.sums.plus(jnp.concatenate([loop.reward[None], loop.events]))
         return _Progress(loop, progress.steps.plus(taken.astype(jnp.uint32)), sums)
 
     def _stretch(self, loop: _Loop, taken: Array, most: Array, words: Any, live: Array) -> tuple[_Loop, Array]:
-        """Steps to the end of the episode or of the block; in lockstep one, or none if not `live`.
+        """Steps to the end of the episode or of the block; under vmap one, or none if it does not learn.
 
         `taken` counts those of the block, of at most `most`.
         """
         counter, left = self.simulator.counter, jnp.minimum(most - taken, self.params.max_steps - loop.time)
-        moment = Moment(loop.episode, live, _zero(loop), self.lockstep)
+        context = Context(loop.episode, live, _zero(loop), self.vmapped)
         start = _Stretch(loop.learner, loop.state, loop.reward, counter.start(taken, left, loop.events))
-        if self.lockstep:
-            after = self._step(start, words, moment)
+        if self.vmapped:
+            after = self._step(start, words, context)
         else:
-            after = lax.while_loop(lambda s: counters.goes_on(s.tally), lambda s: self._step(s, words, moment), start)
+            after = lax.while_loop(lambda s: counters.goes_on(s.tally), lambda s: self._step(s, words, context), start)
         now, terminated, events = counter.read(after.tally, loop.events)
         time = loop.time + now - taken
         truncated = ~terminated & (time >= self.params.max_steps)
@@ -342,8 +360,8 @@ class _Trainer:
 
     def _next_episode(self, loop: _Loop) -> _Loop:
         episode = loop.episode + 1
-        moment = Moment(episode, jnp.bool_(True), _zero(loop), self.lockstep)
-        control, first = self._begin(loop.learner.tables, episode, moment)
+        context = Context(episode, jnp.bool_(True), _zero(loop), self.vmapped)
+        control, first = self._begin(loop.learner.tables, episode, context)
         return loop._replace(
             learner=loop.learner._replace(control=control),
             state=first,
@@ -352,17 +370,17 @@ class _Trainer:
             is_over=jnp.bool_(False),
         )
 
-    def _step(self, now: _Stretch, words: Any, moment: Moment) -> _Stretch:
-        """One primitive step, or none if not ``moment.live``."""
+    def _step(self, now: _Stretch, words: Any, context: Context) -> _Stretch:
+        """One primitive step, or none if not ``context.learns``."""
         position = counters.position(now.tally)
         action = self.learner.action(now.learner.control)
         step = self.simulator.step(now.state, action, words, position)
-        seen = Experience(now.state, action, step.reward, step.next_state, step.terminated)
+        seen = Transition(now.state, action, step.reward, step.next_state, step.terminated)
         own = self.simulator.learner_words(words, position)
-        learned = self.learner.learn(self.prepared, now.learner, seen, own, moment)
+        learned = self.learner.learn(self.prepared, now.learner, seen, own, context)
         return _Stretch(learned, step.next_state, now.reward + step.reward, counters.add(now.tally, step.change))
 
-    def _begin(self, tables: Any, episode: Array, moment: Moment) -> tuple[Any, Array]:
+    def _begin(self, tables: Any, episode: Array, context: Context) -> tuple[Any, Array]:
         """The learner's control and the first state of an episode."""
         own = self.env.num_initial_words
         words = random.words(self.key, episode.astype(jnp.uint32), own + self.learner.num_begin_words, _BEGIN_STREAM)
@@ -370,5 +388,5 @@ class _Trainer:
         if isinstance(self.env, TabularEnvironment):
             first = contract.encode(self.env, first)
         # The last episode is followed by a beginning that no one uses; schedules end with the run.
-        moment = moment._replace(episode=jnp.minimum(episode, self.first_episode + self.num_episodes - 1))
-        return self.learner.begin(self.prepared, tables, first, words[own:], moment), first
+        context = context._replace(episode=jnp.minimum(episode, self.first_episode + self.num_episodes - 1))
+        return self.learner.begin(self.prepared, tables, first, words[own:], context), first

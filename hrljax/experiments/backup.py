@@ -1,13 +1,12 @@
 """What happens if a pseudo-reward is not kept apart: a learner that is here to fail."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
 
-from hrljax.learners import updates
-from hrljax.learners.hordq import HORDQ
+from hrljax.learners.base import Discounted
+from hrljax.learners.hordq import HORDQ, Q
 
 
 @dataclass(frozen=True)
@@ -21,8 +20,6 @@ class PseudoRewardInBackup(HORDQ):
 
     name = "HORDQ, pseudo-reward in the backup"
 
-    def _target(
-        self, reward: Array, discount: Any, exited: Array, pseudo: Array, follows: updates.Parts, zero: Array
-    ) -> updates.Parts:
-        target = super()._target(reward, discount, exited, pseudo, follows, zero)
-        return target._replace(completion=lax.select(exited, pseudo, target.completion), pseudo=jnp.float32(0))
+    def target(self, reward: Array, gamma: Discounted, exited: Array, pseudo_reward: Array, q_next: Q) -> Q:
+        target = super().target(reward, gamma, exited, pseudo_reward, q_next)
+        return target._replace(c=lax.select(exited, pseudo_reward, target.c), p=jnp.float32(0))

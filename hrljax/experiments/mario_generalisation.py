@@ -21,7 +21,7 @@ from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.rows import interval_row
-from hrljax.learners.base import Moment
+from hrljax.learners.base import Context
 from hrljax.learners.relational.learner import RelationalHORDQ
 from hrljax.sweeps.learned import Learned
 from hrljax.sweeps.sweep import sweep
@@ -88,7 +88,7 @@ def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | 
     def game(row: Any) -> dict[str, Array]:
         level, tables = row
         zero = opaque_zero(level.astype(jnp.uint32))
-        moment = Moment(jnp.int32(0), jnp.bool_(True), zero)
+        moment = Context(jnp.int32(0), jnp.bool_(True), zero)
         nothing = (jnp.uint32(0),) * learner.num_begin_words
 
         def step(carry: tuple[Any, Array, dict[str, Array]]) -> tuple[Any, Array, dict[str, Array]]:

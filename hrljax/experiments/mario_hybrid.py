@@ -19,7 +19,7 @@ from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.play import Action, Policy, Step, play
 from hrljax.experiments.rows import interval_row
-from hrljax.learners.base import Moment
+from hrljax.learners.base import Context
 from hrljax.learners.hyperparameters import tabulated
 from hrljax.learners.relational.given_model import MarioDynamics
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
@@ -164,7 +164,7 @@ class Agent:
         settled = tabulated(learner, 1)
 
         def decide(tables: Tables, episode: Episode, word: jax.Array) -> jax.Array:
-            moment = Moment(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
+            moment = Context(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
             return settled.begin(prepared, tables, episode, (word,), moment).action
 
         def search(tables: Tables, episode: Episode) -> Any:

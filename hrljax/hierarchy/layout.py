@@ -1,4 +1,4 @@
-"""A task hierarchy as numbers: which subtasks can run on which level of the stack, and their slots.
+"""A task hierarchy as numbers: which subtasks can run on which level of the stack, their slots, and their places.
 
 All of it is known before compilation. Subtasks are numbered in the hierarchy's order, without a
 root that has a policy of its own. A slot is the position of a child among a subtask's children.
@@ -16,14 +16,17 @@ from jax import Array, lax
 from hrljax.core import choices
 from hrljax.core.numerics import take
 from hrljax.hierarchy.definition import Hierarchy
-from hrljax.hierarchy.tables import NumberedStates, TaskTables, tabulate
+from hrljax.hierarchy.tables import NumberedStates, tabulate
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Kind:
-    """Subtasks with the same children; -1 where a slot holds the other sort of child."""
+class ChildSet:
+    """The children of a subtask, slot by slot, which subtasks may share.
+
+    A slot holds an action or a subtask; the other number is -1.
+    """
 
     actions: tuple[int, ...]  # [K] primitive action of each slot
     tasks: tuple[int, ...]  # [K] number of the subtask of each slot
@@ -44,20 +47,24 @@ class Kind:
 
 
 @dataclass(frozen=True, eq=False)
-class TaskGraph:
+class StackLayout:
     """The learning subtasks of a hierarchy."""
 
-    tables: TaskTables
-    num_states: int
+    active: np.ndarray  # [tasks, S] bool: the subtask can be invoked and goes on
+    goal: np.ndarray  # [tasks, S] float32: factor of the pseudo-reward on termination
     num_actions: int
     offset: int  # 1 if the root has a policy of its own, else 0
-    kinds: tuple[Kind, ...]
-    kind_of: tuple[int, ...]  # [tasks]
+    child_sets: tuple[ChildSet, ...]
+    child_set_of: tuple[int, ...]  # [tasks]
     levels: tuple[tuple[int, ...], ...]  # subtasks that can run on each level of the stack
 
     @property
     def num_tasks(self) -> int:
-        return len(self.kind_of)
+        return len(self.child_set_of)
+
+    @property
+    def num_states(self) -> int:
+        return self.active.shape[1]
 
     @property
     def num_levels(self) -> int:
@@ -67,35 +74,51 @@ class TaskGraph:
     def all_levels(self) -> range:
         return range(len(self.levels))
 
+    # Where numbers lie in a flat table of `size` numbers for each child, ``[tasks * S * K * size]``.
+
+    def start(self, task: Array, state: Array, size: int) -> Array:
+        """Of a subtask's children in a state: a *row*, child by child."""
+        return (task * self.num_states + state) * (self.num_slots * size)
+
+    def start_of_child(self, task: Array, state: Array, slot: Array, size: int) -> Array:
+        """Of the child in one slot of a row."""
+        return ((task * self.num_states + state) * self.num_slots + slot) * size
+
     @property
     def num_slots(self) -> int:
-        """Slots of the subtask that has most."""
-        return max(kind.num_slots for kind in self.kinds)
+        """Slots of the subtask that has most: K."""
+        return max(children.num_slots for children in self.child_sets)
 
-    def kind(self, task: int) -> Kind:
-        return self.kinds[self.kind_of[task]]
+    def children(self, task: int) -> ChildSet:
+        return self.child_sets[self.child_set_of[task]]
 
     def is_always_used(self, level: int) -> bool:
         """Whether some subtask runs on the level at every moment."""
         above = range(level)
-        return all(max(self.kind(task).actions) == -1 for upper in above for task in self.levels[upper])
+        return all(max(self.children(task).actions) == -1 for upper in above for task in self.levels[upper])
 
-    def active(self, task: Array, state: Array) -> Array:
+    def is_active(self, task: Array, state: Array) -> Array:
         """Whether a subtask (int32, not negative) is not terminated in a state."""
-        bits = take(jnp.asarray(self.tables.active_bits >> np.uint32(self.offset)), state)
+        bits = take(jnp.asarray(self._active_bits), state)
         return ((bits >> task.astype(jnp.uint32)) & np.uint32(1)) == 1
 
-    def goal(self, task: Array, state: Array) -> Array:
-        """Factor of the pseudo-reward."""
-        return take(jnp.asarray(self.tables.goal[self.offset :].ravel()), task * self.num_states + state)
+    @cached_property
+    def _active_bits(self) -> np.ndarray:
+        """``[S]`` uint32: bit i is set where subtask i is active."""
+        bits = self.active.astype(np.uint32) << np.arange(self.num_tasks, dtype=np.uint32)[:, None]
+        return bits.sum(0, dtype=np.uint32)
 
-    def allowed(self, kind: Kind, state: Array) -> list[Array | None]:
+    def goal_factor(self, task: Array, state: Array) -> Array:
+        """Factor of a subtask's pseudo-reward where it ends in a state."""
+        return take(jnp.asarray(self.goal.ravel()), task * self.num_states + state)
+
+    def allowed(self, children: ChildSet, state: Array) -> list[Array | None]:
         """For each slot, whether its subtask can be invoked in a state; None for an action, which always can."""
-        return [None if task < 0 else self.active(jnp.int32(task), state) for task in kind.tasks]
+        return [None if task < 0 else self.is_active(jnp.int32(task), state) for task in children.tasks]
 
     def slot_of_action(self, level: int, task: Array, action: Array) -> Array:
         """The slot that holds a primitive action in the subtask that runs on a level."""
-        if all(self.kind(t).is_plain for t in self.levels[level]):
+        if all(self.children(t).is_plain for t in self.levels[level]):
             return action
         return take(jnp.asarray(self._slot_table), task * self.num_actions + action)
 
@@ -104,32 +127,32 @@ class TaskGraph:
         """``[tasks * A]`` int32: slot of an action, 0 where a subtask does not have it."""
         table = np.zeros((self.num_tasks, self.num_actions), np.int32)
         for task in range(self.num_tasks):
-            for slot, action in enumerate(self.kind(task).actions):
+            for slot, action in enumerate(self.children(task).actions):
                 if action >= 0:
                     table[task, action] = slot
         return table.ravel()
 
-    def by_kind(self, levels: Sequence[int], task: Array, function: Callable[[Kind], T]) -> T:
-        """`function` of the kind of a subtask (int32) that runs on one of some levels.
+    def by_child_set(self, levels: Sequence[int], task: Array, function: Callable[[ChildSet], T]) -> T:
+        """`function` of the children of a subtask (int32) that runs on one of some levels.
 
-        Branches where there are several kinds.
+        Branches where these differ.
         """
-        numbers = sorted({self.kind_of[t] for level in levels for t in self.levels[level]})
+        numbers = sorted({self.child_set_of[t] for level in levels for t in self.levels[level]})
         if len(numbers) == 1:
-            return function(self.kinds[numbers[0]])
-        place = np.array([numbers.index(k) if k in numbers else 0 for k in self.kind_of], np.int32)
-        branches = [lambda kind=self.kinds[number]: function(kind) for number in numbers]
+            return function(self.child_sets[numbers[0]])
+        place = np.array([numbers.index(k) if k in numbers else 0 for k in self.child_set_of], np.int32)
+        branches = [lambda children=self.child_sets[number]: function(children) for number in numbers]
         return lax.switch(take(jnp.asarray(place), task), branches)
 
-    def child_of(self, kind: Kind, slot: Array) -> tuple[Array, Array]:
+    def child_of(self, children: ChildSet, slot: Array) -> tuple[Array, Array]:
         """Action and subtask (int32) in a slot, one of them -1."""
         none = jnp.int32(-1)
-        action = slot if kind.is_plain else choices.pick([jnp.int32(a) for a in kind.actions], slot)
-        task = none if kind.is_primitive else choices.pick([jnp.int32(t) for t in kind.tasks], slot)
+        action = slot if children.is_plain else choices.pick([jnp.int32(a) for a in children.actions], slot)
+        task = none if children.is_primitive else choices.pick([jnp.int32(t) for t in children.tasks], slot)
         return action, task
 
 
-def task_graph(hierarchy: Hierarchy, env: NumberedStates, root_learns: bool) -> TaskGraph:
+def stack_layout(hierarchy: Hierarchy, env: NumberedStates, root_learns: bool) -> StackLayout:
     """The graph of the subtasks that learn: all, or all but the root.
 
     Raises:
@@ -137,20 +160,28 @@ def task_graph(hierarchy: Hierarchy, env: NumberedStates, root_learns: bool) -> 
     """
     tables = tabulate(hierarchy, env)
     offset = 0 if root_learns else 1
-    kinds: list[Kind] = []
-    kind_of: list[int] = []
+    child_sets: list[ChildSet] = []
+    child_set_of: list[int] = []
     for task in hierarchy.subtasks[offset:]:
-        kind = Kind(
+        children = ChildSet(
             tuple(hierarchy.actions.index(c) if hierarchy.is_primitive(c) else -1 for c in task.children),
             tuple(-1 if hierarchy.is_primitive(c) else hierarchy.index(c) - offset for c in task.children),
         )
-        if kind not in kinds:
-            kinds.append(kind)
-        kind_of.append(kinds.index(kind))
+        if children not in child_sets:
+            child_sets.append(children)
+        child_set_of.append(child_sets.index(children))
     first = [hierarchy.root.name] if root_learns else list(hierarchy.root.children)
     level = [hierarchy.index(name) - offset for name in first]
     levels = []
     while level:
         levels.append(tuple(sorted(set(level))))
-        level = [t for task in levels[-1] for t in kinds[kind_of[task]].tasks if t >= 0]
-    return TaskGraph(tables, env.num_states, env.num_actions, offset, tuple(kinds), tuple(kind_of), tuple(levels))
+        level = [t for task in levels[-1] for t in child_sets[child_set_of[task]].tasks if t >= 0]
+    return StackLayout(
+        active=tables.active[offset:],
+        goal=tables.goal[offset:],
+        num_actions=env.num_actions,
+        offset=offset,
+        child_sets=tuple(child_sets),
+        child_set_of=tuple(child_set_of),
+        levels=tuple(levels),
+    )

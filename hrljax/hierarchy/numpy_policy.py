@@ -84,18 +84,17 @@ class Policy:
 
 def from_hierarchical(policy: Any, generator: np.random.Generator) -> Policy:
     """The same as a `hrljax.hierarchy.policy.HierarchicalPolicy`."""
-    graph = policy.graph
-    kinds = [graph.kind(task) for task in range(graph.num_tasks)]
-    width = graph.num_slots
+    layout = policy.layout
+    children = [layout.children(task) for task in range(layout.num_tasks)]
 
     def padded(rows: list[tuple[int, ...]]) -> np.ndarray:
-        return np.array([(*row, *[-1] * (width - len(row))) for row in rows], np.int32)
+        return np.array([(*row, *[-1] * (layout.num_slots - len(row))) for row in rows], np.int32)
 
     return Policy(
         slots=np.asarray(policy.slots),
-        actions=padded([kind.actions for kind in kinds]),
-        tasks=padded([kind.tasks for kind in kinds]),
-        active=graph.tables.active[graph.offset :],
+        actions=padded([of_task.actions for of_task in children]),
+        tasks=padded([of_task.tasks for of_task in children]),
+        active=layout.active,
         choice=None if policy.choice is None else np.asarray(policy.choice),
         generator=generator,
     )

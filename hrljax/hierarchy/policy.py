@@ -6,14 +6,14 @@ import jax.numpy as jnp
 from jax import Array
 
 from hrljax.hierarchy.definition import Hierarchy, Subtask
-from hrljax.hierarchy.layout import TaskGraph, task_graph
+from hrljax.hierarchy.layout import StackLayout, stack_layout
 from hrljax.hierarchy.tables import NumberedStates
 
 
 class HierarchicalPolicy(NamedTuple):
     """What every learning subtask does; T subtasks, S states."""
 
-    graph: TaskGraph
+    layout: StackLayout
     slots: Array  # [T, S] int32: slot of the child that is invoked
     choice: Array | None  # [S, T] float32: probabilities that a root that does not learn invokes each subtask
 
@@ -21,5 +21,5 @@ class HierarchicalPolicy(NamedTuple):
 def flat_policy(env: NumberedStates, actions: Array) -> HierarchicalPolicy:
     """The policy without subtasks that takes ``actions[s]`` (int32 ``[S]``) in state s."""
     root = Subtask("Root", env.action_names, lambda state: jnp.bool_(False))
-    graph = task_graph(Hierarchy(env.action_names, [root]), env, root_learns=True)
-    return HierarchicalPolicy(graph, actions[None], None)
+    layout = stack_layout(Hierarchy(env.action_names, [root]), env, root_learns=True)
+    return HierarchicalPolicy(layout, actions[None], None)

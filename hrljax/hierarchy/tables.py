@@ -43,13 +43,6 @@ class TaskTables:
     def num_tasks(self) -> int:
         return self.active.shape[0]
 
-    @property
-    def active_bits(self) -> np.ndarray:
-        """``[S]`` uint32: bit i is set where subtask i is active."""
-        return (self.active.astype(np.uint32) << np.arange(self.num_tasks, dtype=np.uint32)[:, None]).sum(
-            0, dtype=np.uint32
-        )
-
 
 def over_states(function: Predicate, env: NumberedStates, what: str, kinds: Any, kind: str) -> np.ndarray:
     """The value of a function of one state at every state number, ``[S]``.

@@ -2,36 +2,65 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
+import chex
+import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from hrljax.core.numerics import once_if
+from hrljax.core.numerics import exact_product, once_if
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.learners.hyperparameters import Settings
 
+Prepared = TypeVar("Prepared")
+"""Type of what a learner's `prepare` makes."""
+Tables = TypeVar("Tables")
+"""Type of what a learner learns: a pytree of arrays."""
+Control = TypeVar("Control")
+"""Type of what a learner is doing: a pytree of a few scalars."""
+T = TypeVar("T", bound=chex.ArrayTree)
 
-class Moment(NamedTuple):
-    """Where in a run a step is taken, and whether it counts."""
+Words: TypeAlias = tuple[Array, ...]
+"""Random words, uint32 scalars."""
+Discounted: TypeAlias = Callable[[Array], Array]
+"""``x -> g * x`` for a discount g; see `Context.discounted`."""
+
+
+class Context(NamedTuple):
+    """When in a run a learner is called, whether it counts, and the arithmetic that every mapping shares."""
 
     episode: Array  # int32 scalar, from 0
-    live: Array  # bool: False where nothing may change; a Python constant unless runs are in lockstep
+    learns: Array  # bool: False where nothing may change; a Python constant unless runs are mapped by vmap
     zero: Array  # uint32: `hrljax.core.numerics.opaque_zero`
-    lockstep: bool = False
+    vmapped: bool = False
     """Static: many runs take their steps together, so that a branch costs as much as both its sides."""
 
-    def when(self, condition: Array, update: Callable[[Any, "Moment"], Any], tables: Any) -> Any:
-        """``update(tables, moment)`` where `condition` holds, else `tables`.
+    def product(self, a: Array | np.float32, b: Array) -> Array:
+        """``a * b``, rounded by itself; see `hrljax.core.numerics.exact_product`."""
+        return exact_product(a, b, self.zero)
 
-        In lockstep `update` always runs and has to leave the tables alone where the moment that it
-        is given is not live.
+    def discounted(self, discount: Array | np.float32) -> Discounted:
+        """``x -> discount * x``, rounded by itself."""
+        return lambda value: exact_product(discount, value, self.zero)
+
+    def when(self, condition: Array, update: "Callable[[T, Context], T]", tables: T) -> T:
+        """``update(tables, context)`` where `condition` holds, else `tables`.
+
+        Under vmap `update` always runs, and has to leave the tables alone where the context that it
+        is given does not learn.
         """
-        if self.lockstep:
-            return update(tables, self._replace(live=self.live & condition))
+        if self.vmapped:
+            return update(tables, self._replace(learns=self.learns & condition))
         return once_if(condition, lambda tables: update(tables, self), tables)
 
 
-class Experience(NamedTuple):
+def outside_of_training(zero: Array) -> Context:
+    """The context in which a learner that has learned is asked what it would do."""
+    return Context(jnp.int32(0), jnp.bool_(False), zero)
+
+
+class Transition(NamedTuple):
     """One primitive step, as scalars."""
 
     state: Any  # int32 number of the state; of an environment that is not tabular, the state
@@ -48,7 +77,7 @@ class LearnerState(NamedTuple):
     control: Any  # what it is doing; a few scalars
 
 
-class Learner(Settings, ABC):
+class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
     """A learner, written for one run of one seed: every method is a pure function.
 
     The training loop calls `begin` at the first state of every episode, and for every step `action`
@@ -68,35 +97,41 @@ class Learner(Settings, ABC):
         """Episodes between two calls of `plan`; 0 if the learner does not plan."""
         return 0
 
-    def prepare(self, env: Any) -> Any:
+    @abstractmethod
+    def prepare(self, env: Any) -> Prepared:
         """Tables that the learner needs of the environment, made once on the host."""
-        return None
 
     @abstractmethod
-    def init(self, env: Any, prepared: Any) -> LearnerState:
+    def init(self, env: Any, prepared: Prepared) -> LearnerState:
         """The learner's state before the first episode."""
 
     @abstractmethod
-    def begin(self, prepared: Any, tables: Any, first: Any, words: tuple[Array, ...], moment: Moment) -> Any:
+    def begin(self, prepared: Prepared, tables: Tables, first: Any, words: Words, context: Context) -> Control:
         """Starts an episode at a state: the new `control`."""
 
     @abstractmethod
-    def action(self, control: Any) -> Array:
+    def action(self, control: Control) -> Array:
         """The primitive action (int32) to take now."""
 
     @abstractmethod
     def learn(
-        self, prepared: Any, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: Prepared, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
-        """Learns from one step and chooses the next action."""
+        """Learns from one step and chooses the next action.
 
-    def plan(self, prepared: Any, tables: Any, moment: Moment) -> Any:
+        The tables and the control that it returns have the shapes and dtypes of those that it was given.
+        """
+
+    def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
         """Plans between two episodes, before every `planning_interval`-th one: the new `tables`.
 
-        Leaves them alone where `moment` is not live.
+        Leaves them alone where `context` does not learn.
         """
         return tables
 
-    def greedy_policy(self, env: Any, prepared: Any, tables: Any, zero: Array) -> HierarchicalPolicy:
+    def greedy_policy(self, env: Any, prepared: Prepared, tables: Tables, context: Context) -> HierarchicalPolicy:
         """What the learner would do if it were greedy from now on."""
         raise NotImplementedError(f"{self.name} does not tell its greedy policy over the numbers of states")
+
+
+AnyLearner: TypeAlias = Learner[Any, Any, Any]

@@ -13,7 +13,7 @@ from hrljax.core.numerics import put_row, take
 from hrljax.core.random import word_block
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
-from hrljax.learners.base import Experience, LearnerState, Moment
+from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.flat import StepSizeLearner, row_of
 
 
@@ -66,37 +66,39 @@ class DynaQ(StepSizeLearner):
         return LearnerState(DynaTables(values, samples, visited, jnp.int32(0)), jnp.int32(0))
 
     def learn(
-        self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: int, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
         tables: DynaTables = state.tables
-        pair = step.state * prepared + step.action
-        values = self._backed_up(tables.values, pair, step.reward, step.next_state, step.terminated, prepared, moment)
-        tables = tables._replace(values=values)
+        pair = transition.state * prepared + transition.action
+        outcome = transition.reward, transition.next_state, transition.terminated
+        tables = tables._replace(values=self._backed_up(tables.values, pair, outcome, prepared, context))
         if self.planning_steps:
-            tables = self._replayed(self._remembered(tables, pair, step, prepared, moment), words[1:], prepared, moment)
-        action = self.choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
+            tables = self._remembered(tables, pair, transition, prepared, context)
+            tables = self._replayed(tables, words[1:], prepared, context)
+        action = self.choose(row_of(tables.values, transition.next_state, prepared), words[0], context)
         return LearnerState(tables, action)
 
     def _backed_up(
-        self, values: Array, pair: Array, reward: Array, after: Array, terminated: Array, prepared: int, moment: Moment
+        self, values: Array, pair: Array, outcome: tuple[Array, Array, Array], prepared: int, context: Context
     ) -> Array:
-        """One update of Q-learning."""
+        """One update of Q-learning from a reward, a next state, and whether the episode terminated."""
+        reward, after, terminated = outcome
         bootstrap = choices.greedy(row_of(values, after, prepared))[1]
-        return self.moved(values, pair, self.target(reward, bootstrap, terminated, moment), moment)
+        return self.moved(values, pair, self.target(reward, bootstrap, terminated, context), context)
 
     def _remembered(
-        self, tables: DynaTables, pair: Array, step: Experience, prepared: int, moment: Moment
+        self, tables: DynaTables, pair: Array, transition: Transition, prepared: int, context: Context
     ) -> DynaTables:
-        is_new = moment.live & (take(tables.samples.seen, pair) == 0)
+        is_new = context.learns & (take(tables.samples.seen, pair) == 0)
         entry = lax.select(is_new, pair, take(tables.visited, tables.num_visited))
         num_states = len(tables.visited) // prepared
         return tables._replace(
-            samples=model.recorded(tables.samples, pair, step, num_states, moment.live),
+            samples=model.recorded(tables.samples, pair, transition, num_states, context.learns),
             visited=put_row(tables.visited, tables.num_visited, entry[None]),
             num_visited=tables.num_visited + is_new.astype(jnp.int32),
         )
 
-    def _replayed(self, tables: DynaTables, key: tuple[Array, ...], prepared: int, moment: Moment) -> DynaTables:
+    def _replayed(self, tables: DynaTables, key: tuple[Array, ...], prepared: int, context: Context) -> DynaTables:
         num_pairs, words_of = len(tables.visited), 1 if self.outcomes_kept == 1 else 2
         num_states = num_pairs // prepared
         drawn = word_block((key[0], key[1]), count(), _whole_registers(self.planning_steps), words_of)
@@ -106,10 +108,10 @@ class DynaQ(StepSizeLearner):
             pair = take(tables.visited, _below(words[0], tables.num_visited))
             place = pair
             if self.outcomes_kept > 1:
-                kept = lax.min(take(tables.samples.seen, pair), jnp.int32(self.outcomes_kept))
-                place = _below(words[1], kept) * np.int32(num_pairs) + pair
+                stored = lax.min(take(tables.samples.seen, pair), jnp.int32(self.outcomes_kept))
+                place = _below(words[1], stored) * np.int32(num_pairs) + pair
             after, reward = take(tables.samples.after, place), take(tables.samples.reward, place)
-            return self._backed_up(values, pair, reward, after, after == num_states, prepared, moment)
+            return self._backed_up(values, pair, (reward, after, after == num_states), prepared, context)
 
         values = lax.fori_loop(0, self.planning_steps, replay, tables.values)
         return tables._replace(values=values)

@@ -7,15 +7,15 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core import choices
-from hrljax.core.numerics import put_row, take, take_row
+from hrljax.core.numerics import take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
-from hrljax.learners import updates
-from hrljax.learners.base import Experience, Learner, LearnerState, Moment
+from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.updates import Move, moved, td_target
 
 
-class ActionValueLearner(Learner):
+class ActionValueLearner(Learner[int, Any, Any]):
     """A learner that acts epsilon-greedily in one table of action values."""
 
     epsilon: Hyperparameter
@@ -31,24 +31,26 @@ class ActionValueLearner(Learner):
     def prepare(self, env: AnyTabularEnvironment) -> int:
         return env.num_actions
 
-    def begin(self, prepared: int, tables: Any, first: Array, words: tuple[Array, ...], moment: Moment) -> Any:
-        return self.choose(row_of(self.action_values(tables), first, prepared), words[0], moment)
+    def begin(self, prepared: int, tables: Any, first: Array, words: Words, context: Context) -> Any:
+        return self.choose(row_of(self.action_values(tables), first, prepared), words[0], context)
 
     def action(self, control: Any) -> Array:
         return control
 
-    def greedy_policy(self, env: AnyTabularEnvironment, prepared: int, tables: Any, zero: Array) -> HierarchicalPolicy:
+    def greedy_policy(
+        self, env: AnyTabularEnvironment, prepared: int, tables: Any, context: Context
+    ) -> HierarchicalPolicy:
         actions = jnp.argmax(self.action_values(tables).reshape(-1, prepared), axis=-1).astype(jnp.int32)
         return flat_policy(env, actions)
 
-    def choose(self, row: list[Array], word: Array, moment: Moment) -> Array:
+    def choose(self, row: list[Array], word: Array, context: Context) -> Array:
         """The epsilon-greedy action (int32) for the action values of one state; uses one word."""
-        return choices.epsilon_greedy(choices.greedy(row)[0], len(row), word, at_episode(self.epsilon, moment.episode))
+        return choices.epsilon_greedy(choices.greedy(row)[0], len(row), word, at_episode(self.epsilon, context.episode))
 
-    def target(self, reward: Array, bootstrap: Array, terminated: Array, moment: Moment) -> Array:
+    def target(self, reward: Array, bootstrap: Array, terminated: Array, context: Context) -> Array:
         """What a value is moved to: ``reward + discount * bootstrap``, no bootstrap where the episode terminated."""
         bootstrap = lax.select(terminated, jnp.float32(0), bootstrap)
-        return updates.td_target(reward, at_episode(self.discount, moment.episode), bootstrap, moment.zero)
+        return td_target(reward, context.discounted(at_episode(self.discount, context.episode)), bootstrap)
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,10 @@ class StepSizeLearner(ActionValueLearner):
         """``[S * A]`` float32: a table of action values before the first episode."""
         return jnp.full(env.num_states * env.num_actions, jnp.asarray(self.initial_value, jnp.float32))
 
-    def moved(self, values: Array, pair: Array, target: Array, moment: Moment) -> Array:
+    def moved(self, values: Array, pair: Array, target: Array, context: Context) -> Array:
         """The values after that of one (state, action) pair has moved towards a target."""
-        old, step_size = take_row(values, pair, 1), at_episode(self.step_size, moment.episode)
-        return put_row(values, pair, updates.increment(old, target[None], step_size, moment.live, moment.zero))
+        step_size = at_episode(self.step_size, context.episode)
+        return moved(values, [Move(pair, target[None], True)], step_size, context)
 
 
 @dataclass(frozen=True)
@@ -86,18 +88,18 @@ class _OneStep(StepSizeLearner):
         return LearnerState(self.initial_values(env), jnp.int32(0))
 
     def learn(
-        self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: int, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
-        row = row_of(state.tables, step.next_state, prepared)
+        row = row_of(state.tables, transition.next_state, prepared)
         if self._on_policy:
-            action = self.choose(row, words[0], moment)
-            bootstrap = take(state.tables, step.next_state * prepared + action)
+            action = self.choose(row, words[0], context)
+            bootstrap = take(state.tables, transition.next_state * prepared + action)
         else:
             action, bootstrap = choices.greedy(row)
-        target = self.target(step.reward, bootstrap, step.terminated, moment)
-        tables = self.moved(state.tables, step.state * prepared + step.action, target, moment)
+        target = self.target(transition.reward, bootstrap, transition.terminated, context)
+        tables = self.moved(state.tables, transition.state * prepared + transition.action, target, context)
         if not self._on_policy:
-            action = self.choose(row_of(tables, step.next_state, prepared), words[0], moment)
+            action = self.choose(row_of(tables, transition.next_state, prepared), words[0], context)
         return LearnerState(tables, action)
 
 

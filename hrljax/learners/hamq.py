@@ -1,22 +1,26 @@
 """HAMQ: Q-learning over the choice points of a hierarchy, one value for each choice."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 from jax import Array
 
 from hrljax.core.flags import choose
-from hrljax.core.numerics import put_row, take_row
-from hrljax.hierarchy.layout import TaskGraph
-from hrljax.learners import updates
-from hrljax.learners.base import Experience, Moment
-from hrljax.learners.child_values import Values
-from hrljax.learners.execution import Control, Ended, StackLearner, readable
+from hrljax.hierarchy.layout import StackLayout
+from hrljax.learners.base import Context, Transition
+from hrljax.learners.execution import LevelEnd, StackLearner, StackState, readable
 from hrljax.learners.hyperparameters import at_episode
+from hrljax.learners.updates import Move, td_target
+
+
+class ChoiceValue(NamedTuple):
+    """The value of a choice, until the episode ends."""
+
+    q: Array  # float32 scalar
 
 
 @dataclass(frozen=True)
-class HAMQ(StackLearner):
+class HAMQ(StackLearner[ChoiceValue]):
     """Q-learning on the choice points of a hierarchy of machines (Parr and Russell 1997).
 
     A subtask is a machine whose one choice point picks the next child; the machine's state is the
@@ -36,40 +40,38 @@ class HAMQ(StackLearner):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.root is not None and self.root.learns:
+        if self.root is not None and self.root.uses_child_values:
             raise ValueError(
                 f"HAMQ: root must be None or RandomRoot(), since {type(self.root).__name__}() needs the value of a "
                 "subtask until it ends, which HAMQ does not learn"
             )
 
-    def _initial(self, is_root: bool) -> tuple[Any, ...]:
-        return (self.initial_value,)
+    def initial(self, is_root: bool) -> ChoiceValue:
+        return ChoiceValue(self.initial_value)  # type: ignore[arg-type]
 
-    def _worth(self, values: Values) -> Array:
-        return values[0]
+    def q_total(self, q: ChoiceValue) -> Array:
+        return q.q
 
-    def _until_end(self, values: Values) -> Array:
-        return values[0]
+    def value_until_end(self, q: ChoiceValue) -> Array:
+        return q.q
 
-    def _learned(
+    def moves(
         self,
-        graph: TaskGraph,
-        parts: Array,
-        control: Control,
-        step: Experience,
-        ended: list[Ended],
-        follows: Any,
-        moment: Moment,
-    ) -> Array:
-        task = control.tasks[0]
-        slot = graph.slot_of_action(0, task, control.action)
-        for level in graph.all_levels[1:]:
+        layout: StackLayout,
+        stack: StackState,
+        transition: Transition,
+        ends: list[LevelEnd],
+        q_next: ChoiceValue,
+        context: Context,
+    ) -> list[Move]:
+        """The choice of the primitive action; what follows it is the choice that comes next."""
+        task, slot = stack.tasks[0], layout.slot_of_action(0, stack.tasks[0], stack.action)
+        for level in layout.all_levels[1:]:
             # The subtask that took the action is the last one on the stack.
-            here = readable(control.tasks[level], ended[level].used)
-            its_slot = graph.slot_of_action(level, here, control.action)
-            task, slot = choose(ended[level].used, (here, its_slot), (task, slot))
-        target = updates.td_target(step.reward, at_episode(self.discount, moment.episode), follows[0], moment.zero)
-        at = (task * graph.num_states + step.state) * graph.num_slots + slot
-        old = take_row(parts, at, 1)
-        new = updates.increment(old, target[None], at_episode(self.step_size, moment.episode), moment.live, moment.zero)
-        return put_row(parts, at, new)
+            lower = readable(stack.tasks[level], ends[level].used)
+            lower_slot = layout.slot_of_action(level, lower, stack.action)
+            task, slot = choose(ends[level].used, (lower, lower_slot), (task, slot))
+        gamma = context.discounted(at_episode(self.discount, context.episode))
+        target = td_target(transition.reward, gamma, q_next.q)
+        start = layout.start_of_child(task, transition.state, slot, self._size)
+        return [Move(start, target[None], True)]

@@ -1,110 +1,129 @@
 """Hierarchical tabular learners with decomposed values: HORDQ, MAXQ-Q and MAXQ-0.
 
-One mechanism serves all. Each learning subtask keeps, for every state and child, the four
-`updates.Parts` of a value side by side in memory: one read and one write a step. Q_r of a subtask is not
-stored but computed from that subtask's own values. MAXQ-Q is the same without the value after the
-exit: its C~ is the completion plus the pseudo part.
+Each learning subtask keeps, for every state and child, the parts of a value side by side in memory:
+one read and one write a step. Q_r of a child that is a subtask is not stored but computed from that
+subtask's own values. MAXQ-Q is HORDQ without the value after the exit.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Literal, NamedTuple
 
+import chex
 import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core.flags import both
-from hrljax.core.numerics import put_row, stage, take_row
-from hrljax.hierarchy.layout import TaskGraph
-from hrljax.learners import updates
-from hrljax.learners.base import Experience, Moment
-from hrljax.learners.child_values import Values
-from hrljax.learners.execution import Control, Ended, StackLearner, readable
+from hrljax.hierarchy.layout import StackLayout
+from hrljax.learners.base import Context, Discounted, Transition
+from hrljax.learners.execution import LevelEnd, StackLearner, StackState, readable
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.updates import Move
 
 Bootstrap = Literal["greedy", "on_policy"]
-_PARTS = len(updates.Parts._fields)
+
+
+class Q(NamedTuple):
+    """The value of child a of subtask i in state s, in parts (thesis eq. 3.2): ``Q = Q_r + Q_c + Q_e``; scalars."""
+
+    r: Array  # Q_r: until a ends
+    c: Array  # Q_c: from there until i ends
+    e: Array  # Q_e: from there until the episode ends
+    p: Array  # pseudo-reward at i's end, apart from the real reward: biases choices, never enters r, c and e
+
+    def __add__(self, other: object) -> "Q":  # the tuple's concatenation would hide mistakes
+        return NotImplemented
+
+
+def hordq_target(reward: Array, gamma: Discounted, exited: Array, pseudo_reward: Array, q_next: Q) -> Q:
+    """What Q(i, s, a) is moved to when a has ended, N steps after it was invoked in s (thesis eq. 3.10-3.12).
+
+        Q_r <- R
+        Q_c <- g^N [Q_r + Q_c](i, s', a')    where i goes on, else 0
+        Q_e <- g^N Q_e(i, s', a')            where i goes on, else g^N Q(i', s', a')
+        Q_p <- g^N Q_p(i, s', a')            where i goes on, else the pseudo-reward
+
+    s' is the state that is reached, a' what the bootstrap picks there, i' the next subtask of the leaf cover.
+    (Read literally, eq. 3.11 would count the next subtask's reward twice on exit; eq. 3.4 sums over active
+    states only.)
+
+    Args:
+        reward: R, since a began.
+        gamma: discounts by g^N.
+        exited: bool, i ended too.
+        pseudo_reward: paid if `exited`; not discounted.
+        q_next: of a' in i where it goes on, else in i'; 0 if the episode terminated.
+    """
+    chex.assert_rank([reward, exited, pseudo_reward, *q_next], 0)
+    r, c, e, p = q_next
+    none = jnp.zeros_like(reward)
+    return Q(
+        r=reward,
+        c=lax.select(exited, none, gamma(r + c)),
+        e=gamma(lax.select(exited, r + c + e, e)),
+        p=lax.select(exited, pseudo_reward, gamma(p)),
+    )
 
 
 @dataclass(frozen=True)
-class _Decomposed(StackLearner):
+class _Decomposed(StackLearner[Q]):
+    """What HORDQ and MAXQ-Q share: all but what a subtask wants."""
+
     pseudo_reward: Hyperparameter = hyperparameter(0.0, schedule=True)
     bootstrap: Bootstrap = field(default="greedy", kw_only=True)
-
-    _has_exit_value: ClassVar[bool]
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_choice("bootstrap", Bootstrap)
 
     @property
-    def _is_on_policy(self) -> bool:
+    def is_on_policy(self) -> bool:
         return self.bootstrap == "on_policy"
 
-    def _initial(self, is_root: bool) -> tuple[Any, ...]:
-        initial = self.initial_value
-        return (0.0, 0.0, initial, 0.0) if self._has_exit_value and not is_root else (0.0, initial, 0.0, 0.0)
+    def value_until_end(self, q: Q) -> Array:
+        return q.r + q.c
 
-    def _worth(self, values: Values) -> Array:
-        parts, real = updates.Parts(*values), self._until_end(values)
-        return (real + parts.exit if self._has_exit_value else real) + parts.pseudo
+    def target(self, reward: Array, gamma: Discounted, exited: Array, pseudo_reward: Array, q_next: Q) -> Q:
+        """What the values of a child that has ended are moved to; as `hordq_target`."""
+        return hordq_target(reward, gamma, exited, pseudo_reward, q_next)
 
-    def _until_end(self, values: Values) -> Array:
-        parts = updates.Parts(*values)
-        return parts.reward + parts.completion
-
-    def _learned(
+    def moves(
         self,
-        graph: TaskGraph,
-        parts: Array,
-        control: Control,
-        step: Experience,
-        ended: list[Ended],
-        follows: Any,
-        moment: Moment,
-    ) -> Array:
-        moves = [self._update(graph, level, control, step, ended[level], follows, moment) for level in graph.all_levels]
-        step_size = at_episode(self.step_size, moment.episode)
+        layout: StackLayout,
+        stack: StackState,
+        transition: Transition,
+        ends: list[LevelEnd],
+        q_next: Q,
+        context: Context,
+    ) -> list[Move]:
+        """One move a level. A level that is not used rewrites a row of subtask 0 as it was before the step."""
+        return [
+            self._move(layout, level, stack, transition, ends[level], q_next, context) for level in layout.all_levels
+        ]
 
-        def new_row(place: Array, target: Array, live: Array) -> Array:
-            return updates.increment(take_row(parts, place, _PARTS), target, step_size, live, moment.zero)
-
-        # Every row is read before the first is written; with one level there is nothing to keep apart.
-        apart = stage(new_row) if len(moves) > 1 else new_row
-        rows = [apart(place, target, live) for place, target, live in moves]
-        # From the last level to the first: an unused level rewrites a row of subtask 0 as it was before the step.
-        for (place, _, _), row in reversed(list(zip(moves, rows, strict=True))):
-            parts = put_row(parts, place, row)
-        return parts
-
-    def _update(
+    def _move(
         self,
-        graph: TaskGraph,
+        layout: StackLayout,
         level: int,
-        control: Control,
-        step: Experience,
-        ended: Ended,
-        follows: Any,
-        moment: Moment,
-    ) -> tuple[Array, Array, Array]:
-        """Where the values of the child on a level lie, their target, and whether that child ended."""
-        task = readable(control.tasks[level], ended.used)
-        if level == graph.num_levels - 1:
-            state, slot = step.state, graph.slot_of_action(level, task, control.action)
-            discount, reward = at_episode(self.discount, moment.episode), step.reward
+        stack: StackState,
+        transition: Transition,
+        end: LevelEnd,
+        q_next: Q,
+        context: Context,
+    ) -> Move:
+        task = readable(stack.tasks[level], end.used)
+        if level == layout.num_levels - 1:
+            state, slot = transition.state, layout.slot_of_action(level, task, stack.action)
+            discount, reward = at_episode(self.discount, context.episode), transition.reward
         else:
-            state, slot, discount = control.pending[level]
+            state, slot, discount = stack.pending[level]
             # Q_r of a subtask is read from its own values.
-            reward = lax.select(control.tasks[level + 1] < 0, step.reward, jnp.float32(0))
-        pseudo = at_episode(self.pseudo_reward, moment.episode) * graph.goal(task, step.next_state)
-        exited = jnp.asarray(ended.exited)
-        target = self._target(reward, discount, exited, pseudo, updates.Parts(*follows), moment.zero)
-        place = ((task * graph.num_states + state) * graph.num_slots + slot) * _PARTS
-        return place, jnp.stack(target), jnp.asarray(both(both(ended.used, ended.child), moment.live))
-
-    def _target(
-        self, reward: Array, discount: Any, exited: Array, pseudo: Array, follows: updates.Parts, zero: Array
-    ) -> updates.Parts:
-        return updates.hordq_targets(reward, discount, exited, pseudo, follows, zero)
+            reward = lax.select(stack.tasks[level + 1] < 0, transition.reward, jnp.float32(0))
+        pseudo_reward = at_episode(self.pseudo_reward, context.episode) * layout.goal_factor(
+            task, transition.next_state
+        )
+        gamma, exited = context.discounted(discount), jnp.asarray(end.exited)
+        target = jnp.stack(self.target(reward, gamma, exited, pseudo_reward, q_next))
+        return Move(layout.start_of_child(task, state, slot, self._size), target, both(end.used, end.child))
 
 
 @dataclass(frozen=True)
@@ -129,7 +148,14 @@ class HORDQ(_Decomposed):
     """
 
     name = "HORDQ"
-    _has_exit_value = True
+
+    def initial(self, is_root: bool) -> Q:
+        value: Array = self.initial_value  # type: ignore[assignment]
+        zero: Array = jnp.float32(0)
+        return Q(zero, value, zero, zero) if is_root else Q(zero, zero, value, zero)
+
+    def q_total(self, q: Q) -> Array:
+        return q.r + q.c + q.e + q.p
 
 
 @dataclass(frozen=True)
@@ -144,7 +170,14 @@ class MAXQ(_Decomposed):
     """
 
     name = "MAXQ-Q"
-    _has_exit_value = False
+
+    def initial(self, is_root: bool) -> Q:
+        value: Array = self.initial_value  # type: ignore[assignment]
+        zero: Array = jnp.float32(0)
+        return Q(zero, value, zero, zero)
+
+    def q_total(self, q: Q) -> Array:
+        return q.r + q.c + q.p
 
 
 @dataclass(frozen=True)

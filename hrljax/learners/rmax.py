@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.core.numerics import exact_product, once_if, take
+from hrljax.core.numerics import once_if, take
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
-from hrljax.learners.base import Experience, LearnerState, Moment
+from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.flat import ActionValueLearner, row_of
 from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
 
@@ -65,42 +65,42 @@ class RMax(ActionValueLearner):
         return LearnerState(RMaxTables(values, samples), jnp.int32(0))
 
     def learn(
-        self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: int, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
         tables: RMaxTables = state.tables
-        pair = step.state * prepared + step.action
+        pair = transition.state * prepared + transition.action
         num_states = len(tables.values) // prepared
         missing = self.known_after - take(tables.samples.seen, pair)
 
-        def observed(tables: RMaxTables, live: Array) -> RMaxTables:
-            return tables._replace(samples=model.recorded(tables.samples, pair, step, num_states, live))
+        def observed(tables: RMaxTables, learns: Array) -> RMaxTables:
+            return tables._replace(samples=model.recorded(tables.samples, pair, transition, num_states, learns))
 
         # The last outcome is recorded where it is planned with: with samples that do not change
         # there, the compiler would move parts of the planning out, to where they run every step.
         tables = once_if(
-            moment.live & (missing == 1),
-            lambda tables: self._planned(observed(tables, jnp.bool_(True)), prepared, moment.zero),
-            observed(tables, moment.live & (missing > 1)),
+            context.learns & (missing == 1),
+            lambda tables: self._planned(observed(tables, jnp.bool_(True)), prepared, context),
+            observed(tables, context.learns & (missing > 1)),
         )
-        action = self.choose(row_of(tables.values, step.next_state, prepared), words[0], moment)
+        action = self.choose(row_of(tables.values, transition.next_state, prepared), words[0], context)
         return LearnerState(tables, action)
 
-    def _planned(self, tables: RMaxTables, prepared: int, zero: Array) -> RMaxTables:
+    def _planned(self, tables: RMaxTables, prepared: int, context: Context) -> RMaxTables:
         num_pairs = len(tables.values)
         known = tables.samples.seen >= self.known_after
         after = tables.samples.after.reshape(-1, num_pairs)
         share = np.float32(1 / self.known_after)
-        reward = exact_product(share, _sum(list(tables.samples.reward.reshape(-1, num_pairs))), zero)
+        reward = context.product(share, _sum(list(tables.samples.reward.reshape(-1, num_pairs))))
         discount = jnp.asarray(self.discount, jnp.float32)
 
         def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             values, _, count = carry
             at_states = jnp.concatenate([values.reshape(-1, prepared).max(-1), jnp.zeros(1, jnp.float32)])
             follows = [at_states.at[states].get(mode="promise_in_bounds") for states in after]
-            mean = exact_product(share, _sum(follows), zero)
-            found = reward + exact_product(jnp.broadcast_to(discount, mean.shape), mean, zero)
-            found = lax.select(known, found, jnp.broadcast_to(self._optimistic(), found.shape))
-            return found, jnp.abs(found - values).max(), count + 1
+            mean = context.product(share, _sum(follows))
+            backed_up = reward + context.product(jnp.broadcast_to(discount, mean.shape), mean)
+            new = lax.select(known, backed_up, jnp.broadcast_to(self._optimistic(), backed_up.shape))
+            return new, jnp.abs(new - values).max(), count + 1
 
         tolerance = jnp.asarray(self.planning_tolerance, jnp.float32)
         values, _, _ = lax.while_loop(

@@ -10,7 +10,7 @@ from jax import Array, lax
 
 from hrljax.core.counting import one_more
 from hrljax.core.numerics import put_row, take
-from hrljax.learners.base import Experience
+from hrljax.learners.base import Transition
 
 
 class Samples(NamedTuple):
@@ -31,17 +31,17 @@ def empty(num_states: int, num_actions: int, num_slots: int) -> Samples:
     )
 
 
-def recorded(samples: Samples, pair: Array, step: Experience, num_states: int, live: Array) -> Samples:
-    """The samples with one more, if `live`; K later it is overwritten."""
+def recorded(samples: Samples, pair: Array, transition: Transition, num_states: int, learns: Array) -> Samples:
+    """The samples with one more, if `learns`; K later it is overwritten."""
     num_pairs = len(samples.seen)
     num_slots = len(samples.after) // num_pairs
     seen = take(samples.seen, pair)
     place = seen % num_slots * num_pairs + pair
-    after = lax.select(step.terminated, jnp.int32(num_states), step.next_state)
-    after = lax.select(live, after, take(samples.after, place))
-    reward = lax.select(live, step.reward, take(samples.reward, place))
+    after = lax.select(transition.terminated, jnp.int32(num_states), transition.next_state)
+    after = lax.select(learns, after, take(samples.after, place))
+    reward = lax.select(learns, transition.reward, take(samples.reward, place))
     return Samples(
-        put_row(samples.seen, pair, one_more(seen, num_slots, live)[None]),
+        put_row(samples.seen, pair, one_more(seen, num_slots, learns)[None]),
         put_row(samples.after, place, after[None]),
         put_row(samples.reward, place, reward[None]),
     )

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core import choices
-from hrljax.core.numerics import exact_product, put_row, take, take_row
+from hrljax.core.numerics import put_row, take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
-from hrljax.learners import updates
-from hrljax.learners.base import Experience, LearnerState, Moment
+from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.flat import StepSizeLearner, row_of
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.updates import traced_increment
 
 _NO_PAIR = -1
 _LONGEST = 1 << 24
@@ -69,77 +69,76 @@ class _Traced(StepSizeLearner):
         visited = jnp.full(self._ring, _NO_PAIR, jnp.int32)
         return LearnerState(TraceTables(self.initial_values(env), visited), TraceControl(jnp.int32(0), jnp.int32(0)))
 
-    def begin(
-        self, prepared: int, tables: TraceTables, first: Array, words: tuple[Array, ...], moment: Moment
-    ) -> TraceControl:
-        return TraceControl(super().begin(prepared, tables, first, words, moment), jnp.int32(0))
+    def begin(self, prepared: int, tables: TraceTables, first: Array, words: Words, context: Context) -> TraceControl:
+        return TraceControl(super().begin(prepared, tables, first, words, context), jnp.int32(0))
 
     def action(self, control: TraceControl) -> Array:
         return control.action
 
     def learn(
-        self, prepared: int, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: int, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
         tables, control = state
-        row = row_of(tables.values, step.next_state, prepared)
+        row = row_of(tables.values, transition.next_state, prepared)
         if self._on_policy:
-            action = self.choose(row, words[0], moment)
-            bootstrap = take(tables.values, step.next_state * prepared + action)
+            action = self.choose(row, words[0], context)
+            bootstrap = take(tables.values, transition.next_state * prepared + action)
         else:
             action, bootstrap = choices.greedy(row)
-        target = self.target(step.reward, bootstrap, step.terminated, moment)
-        pair = step.state * prepared + step.action
+        target = self.target(transition.reward, bootstrap, transition.terminated, context)
+        pair = transition.state * prepared + transition.action
         error = target - take(tables.values, pair)
-        change = exact_product(at_episode(self.step_size, moment.episode), error, moment.zero)
-        tables, visits = self._all_moved(tables, pair, control.visits, change, moment), control.visits + 1
+        change = context.product(at_episode(self.step_size, context.episode), error)
+        tables, visits = self._all_moved(tables, pair, control.visits, change, context), control.visits + 1
         if not self._on_policy:
-            row = row_of(tables.values, step.next_state, prepared)
-            action = self.choose(row, words[0], moment)
+            row = row_of(tables.values, transition.next_state, prepared)
+            action = self.choose(row, words[0], context)
             explores = choices.pick(row, action) < choices.greedy(row)[1]
             visits = lax.select(explores, jnp.int32(0), visits)
         return LearnerState(tables, TraceControl(action, visits))
 
-    def _all_moved(self, tables: TraceTables, pair: Array, visits: Array, change: Array, moment: Moment) -> TraceTables:
+    def _all_moved(
+        self, tables: TraceTables, pair: Array, visits: Array, change: Array, context: Context
+    ) -> TraceTables:
         """The tables after every pair with a trace has moved, `pair`, which is visited now, by `change`."""
         newest = visits & (self._ring - 1)
-        entry = lax.select(moment.live, pair, take(tables.visited, newest))
+        entry = lax.select(context.learns, pair, take(tables.visited, newest))
         tables = tables._replace(visited=put_row(tables.visited, newest, entry[None]))
         length = lax.min(visits + 1, jnp.int32(self.trace_length))
         cutoff = jnp.asarray(self.trace_cutoff, jnp.float32)
         discount, decay = (
-            jnp.asarray(at_episode(value, moment.episode)) for value in (self.discount, self.trace_decay)
+            jnp.asarray(at_episode(value, context.episode)) for value in (self.discount, self.trace_decay)
         )
-        decay = exact_product(discount, decay, moment.zero)
+        decay = context.product(discount, decay)
 
         def goes_on(walk: _Walk) -> Array:
             return (walk.age < length) & (walk.trace >= cutoff)
 
-        def further(walk: _Walk, live: Array) -> _Walk:
-            moved = self._one_moved(walk, pair, newest, change, live, moment.zero)
-            return _Walk(walk.age + 1, exact_product(decay, walk.trace, moment.zero), moved)
+        def further(walk: _Walk, learns: Array) -> _Walk:
+            moved = self._one_moved(walk, pair, newest, change, context._replace(learns=learns))
+            return _Walk(walk.age + 1, context.product(decay, walk.trace), moved)
 
         walk = _Walk(jnp.int32(0), jnp.float32(1), tables)
-        if moment.lockstep:
+        if context.vmapped:
             every = jnp.int32(0), jnp.int32(self.trace_length)
-            return lax.fori_loop(*every, lambda _, w: further(w, moment.live & goes_on(w)), walk).tables
-        return lax.while_loop(goes_on, lambda w: further(w, moment.live), walk).tables
+            return lax.fori_loop(*every, lambda _, w: further(w, context.learns & goes_on(w)), walk).tables
+        return lax.while_loop(goes_on, lambda w: further(w, context.learns), walk).tables
 
-    def _one_moved(
-        self, walk: _Walk, pair: Array, newest: Array, change: Array, live: Array, zero: Array
-    ) -> TraceTables:
+    def _one_moved(self, walk: _Walk, pair: Array, newest: Array, change: Array, context: Context) -> TraceTables:
+        """The tables after the pair that a walk has come to has moved."""
         values, visited = walk.tables
         place = (newest - walk.age) & (self._ring - 1)
-        there = take(visited, place)
-        old = take_row(values, there, 1)
-        has_trace = live
+        earlier = take(visited, place)
+        old = take_row(values, earlier, 1)
+        has_trace = context.learns
         if self.trace == "replacing":
             # The visit now replaces the trace of an earlier one, for good.
-            replaced = (there == pair) & (walk.age > 0)
-            has_trace = live & ~replaced & (there != _NO_PAIR)
-            entry = lax.select(live & replaced, jnp.int32(_NO_PAIR), there)
+            replaced = (earlier == pair) & (walk.age > 0)
+            has_trace = context.learns & ~replaced & (earlier != _NO_PAIR)
+            entry = lax.select(context.learns & replaced, jnp.int32(_NO_PAIR), earlier)
             visited = put_row(visited, place, entry[None])
-        new = updates.traced_increment(old, change[None], walk.trace[None], has_trace[None], zero)
-        return TraceTables(put_row(values, there, new), visited)
+        new = traced_increment(old, change[None], walk.trace[None], has_trace[None], context.zero)
+        return TraceTables(put_row(values, earlier, new), visited)
 
 
 @dataclass(frozen=True)

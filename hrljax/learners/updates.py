@@ -1,79 +1,75 @@
-"""Update rules as pure scalar functions, in the manner of rlax.
+"""Targets that values are moved to, as pure scalar functions, and the one way in which tables move.
 
-The suffix ``_t`` marks what a step led to. Values of a next state are 0 where the episode
-terminated; a truncated episode keeps its bootstrap.
+Targets are written in the manner of rlax: values of a next state are 0 where the episode
+terminated, and a truncated episode keeps its bootstrap. ``gamma`` is a function that discounts,
+`hrljax.learners.base.Context.discounted`.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import chex
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
-from hrljax.core.numerics import exact_product
+from hrljax.core.flags import Flag, both
+from hrljax.core.numerics import exact_product, put_row, stage, take_row
+from hrljax.learners.base import Context, Discounted
 
 
-class Parts(NamedTuple):
-    """The decomposed value of one child in one state of one subtask (thesis eq. 3.2), scalars.
+def td_target(reward: Array, gamma: Discounted, q_next: Array) -> Array:
+    """What a value is moved to after a step: ``Q(s, a) <- r + g Q(s', a')`` (thesis eq. 2.14 and 2.15).
 
-    Without its pseudo-reward, the value is ``reward + completion + exit``.
+    Args:
+        reward: float32 scalar.
+        gamma: discounts a value.
+        q_next: of Q-learning the greatest value in s', of SARSA the next action's; any shape.
+    """
+    chex.assert_rank(reward, 0)
+    return reward + gamma(q_next)
+
+
+class Move(NamedTuple):
+    """N numbers of a table, side by side, that are to move towards a target."""
+
+    start: Array  # int32: where they begin in the table
+    target: Array  # [N] float32
+    learns: Flag  # bool, or [N]: where False, they stay as they are
+
+
+def moved(table: Array, moves: Sequence[Move], step_size: Array, context: Context) -> Array:
+    """``x + step_size * (target - x)`` for some rows of a table.
+
+    All rows are read before the first is written, so that the table is changed in place. Where two
+    moves have the same place, the first one's numbers stay.
+
+    Args:
+        table: ``[M]`` float32.
+        moves: the rows and their targets.
+        step_size: float32 scalar.
+        context: where it does not learn, nothing moves.
     """
 
-    reward: Array  # Q_r: until the child ends
-    completion: Array  # Q_c: from there until the subtask ends
-    exit: Array  # Q_e: from there until the episode ends
-    pseudo: Array  # Q_p: pseudo-reward on ending the subtask, kept apart from the real reward
+    def towards(start: Array, target: Array, learns: Array) -> Array:
+        return increment(take_row(table, start, len(target)), target, step_size, learns, context.zero)
 
-    def __add__(self, other: object) -> "Parts":  # the tuple's concatenation would hide mistakes
-        return NotImplemented
+    # With one row there is nothing to keep apart.
+    apart = stage(towards) if len(moves) > 1 else towards
+    rows = [apart(start, target, jnp.asarray(both(learns, context.learns))) for start, target, learns in moves]
+    for move, row in reversed(list(zip(moves, rows, strict=True))):
+        table = put_row(table, move.start, row)
+    return table
 
 
-def increment(old: Array, target: Array, step_size: Array, live: Array, zero: Array) -> Array:
-    """``old + step_size * (target - old)`` where `live`, else `old`; any shape."""
+def increment(old: Array, target: Array, step_size: Array, learns: Flag, zero: Array) -> Array:
+    """``old + step_size * (target - old)`` where `learns`, else `old`; any shape."""
     change = exact_product(jnp.broadcast_to(step_size, old.shape), target - old, zero)
-    return old + lax.select(jnp.broadcast_to(live, old.shape), change, jnp.zeros_like(old))
+    return old + lax.select(jnp.broadcast_to(learns, old.shape), change, jnp.zeros_like(old))
 
 
-def traced_increment(old: Array, change: Array, trace: Array, live: Array, zero: Array) -> Array:
-    """``old + trace * change`` where `live`, else `old`: one pair's share of a TD error; any one shape.
+def traced_increment(old: Array, change: Array, trace: Array, learns: Array, zero: Array) -> Array:
+    """``old + trace * change`` where `learns`, else `old`: one pair's share of a TD error; any one shape.
 
     With a trace of 1 and ``change = step_size * (target - old)`` it is `increment`, bit for bit.
     """
-    return old + lax.select(live, exact_product(trace, change, zero), jnp.zeros_like(old))
-
-
-def td_target(reward_t: Array, discount_t: Array | np.float32, value_t: Array, zero: Array) -> Array:
-    """``r + discount * value``: of Q-learning with the greatest value, of SARSA with the next action's."""
-    return reward_t + exact_product(discount_t, value_t, zero)
-
-
-def hordq_targets(
-    reward_t: Array, discount_t: Array | np.float32, exited: Array, pseudo_reward_t: Array, next_t: Parts, zero: Array
-) -> Parts:
-    """Targets of HORDQ (thesis eq. 3.10-3.12) for one child that has just ended in one subtask.
-
-    Where the subtask goes on, each part bootstraps on the same part. Where it ended, nothing is
-    left to complete, and the exit value bootstraps on the whole value of the next subtask of the
-    leaf cover. (Read literally, eq. 3.11 would count the next subtask's reward twice there; eq. 3.4
-    sums over active states only.) The pseudo-reward never enters the three real parts.
-
-    Args:
-        reward_t: reward since the child began.
-        discount_t: discount to the power of the child's steps.
-        exited: bool, the subtask ended.
-        pseudo_reward_t: paid if `exited`; not discounted.
-        next_t: values at the next state, of the child that the bootstrap picks: in the same
-            subtask if it goes on, else in the next subtask of the leaf cover; 0 if the episode
-            terminated.
-        zero: see `hrljax.core.numerics.opaque_zero`.
-    """
-    nothing = jnp.zeros_like(reward_t)
-    to_completion = next_t.reward + next_t.completion
-    to_exit = lax.select(exited, to_completion + next_t.exit, next_t.exit)
-    pseudo = lax.select(exited, nothing, exact_product(discount_t, next_t.pseudo, zero))
-    return Parts(
-        reward=reward_t,
-        completion=lax.select(exited, nothing, exact_product(discount_t, to_completion, zero)),
-        exit=exact_product(discount_t, to_exit, zero),
-        pseudo=lax.select(exited, pseudo_reward_t, pseudo),
-    )
+    return old + lax.select(learns, exact_product(trace, change, zero), jnp.zeros_like(old))

@@ -15,7 +15,7 @@ import numpy as np
 from hrljax.core import forks, interrupts
 from hrljax.engine import batch
 from hrljax.engine.start import Start, named_leaves, steps_of
-from hrljax.engine.train import train
+from hrljax.engine.train import run as run_once
 from hrljax.learners.base import Learner
 
 ENV_PREFIX = "env."
@@ -113,7 +113,7 @@ def _compiler(frozen: _Frozen) -> Callable[[Any], Callable[[Any], Any]]:
     def run(row: dict[str, Any]) -> dict[str, Any]:
         own = {name: value for name, value in row["axes"].items() if not name.startswith(ENV_PREFIX)}
         of_env = {n.removeprefix(ENV_PREFIX): v for n, v in row["axes"].items() if n.startswith(ENV_PREFIX)}
-        result = train(
+        result = run_once(
             job.env,
             job.learner.replaced(own),
             jax.random.wrap_key_data(row["key"], impl="threefry2x32"),
@@ -122,7 +122,7 @@ def _compiler(frozen: _Frozen) -> Callable[[Any], Callable[[Any], Any]]:
             bin_size=job.bin_size,
             evaluate_every=job.evaluate_every,
             start=Start(episodes=job.first_episode, **row["start"]) if "start" in row else None,
-            lockstep=job.mapping == "vmap",
+            vmapped=job.mapping == "vmap",
         )
         values = {**result.metrics, "steps": result.step_words}
         if job.evaluate_every is not None:

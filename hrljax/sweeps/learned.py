@@ -22,7 +22,7 @@ from hrljax.envs.base import AnyEnvironment, Environment
 from hrljax.envs.registry import make, registered
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
-from hrljax.learners.base import Learner, Moment
+from hrljax.learners.base import Learner, outside_of_training
 from hrljax.learners.hyperparameters import Settings
 from hrljax.learners.options.definition import Options
 from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables
@@ -124,7 +124,7 @@ class Learned:
         if not self.learner.is_tabular:
             return StatePolicy(self.env, self.learner, tables)
         prepared = self.learner.prepare(self.env)
-        policy = self.learner.greedy_policy(self.env, prepared, tables, jnp.uint32(0))
+        policy = self.learner.greedy_policy(self.env, prepared, tables, outside_of_training(jnp.uint32(0)))
         return from_hierarchical(policy, np.random.default_rng(seed))
 
     def save(self, path: str | Path) -> None:
@@ -219,11 +219,11 @@ class StatePolicy:
         for name, value in greedy.settings().items():
             if callable(value):
                 raise ValueError(f"the policy of {learner.name} needs a number for {name}, which is a schedule")
-        prepared, nothing = greedy.prepare(env), (jnp.uint32(0),) * greedy.num_begin_words
-        moment = Moment(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
+        prepared, words = greedy.prepare(env), (jnp.uint32(0),) * greedy.num_begin_words
+        context = outside_of_training(jnp.uint32(0))
 
         def choose(tables: Any, state: Any) -> Any:
-            return greedy.action(greedy.begin(prepared, tables, state, nothing, moment))
+            return greedy.action(greedy.begin(prepared, tables, state, words, context))
 
         self._tables, self._choose = tables, jax.jit(choose)
 

@@ -59,7 +59,7 @@ def learned(request: pytest.FixtureRequest) -> Learned:
     learner = hrljax.HORDQ(SMALL.hierarchy(), request.param, pseudo_reward=5.0, initial_value=-12.0)
     run = jax.jit(lambda key: hrljax.train(SMALL, learner, key, 200))(jax.random.key(2))
     prepared = learner.prepare(SMALL)
-    parts = np.asarray(run.learned.parts).reshape(-1, SMALL.num_states, 4, 4)
+    parts = np.asarray(run.learned.q).reshape(-1, SMALL.num_states, 4, 4)
     choose = random_choice if isinstance(request.param, hrljax.RandomRoot) else planned_choice
     return Learned(learner, prepared, run.learned, parts, choose(parts, prepared, run))
 
@@ -91,7 +91,7 @@ def planned_choice(parts: np.ndarray, prepared: Any, run: hrljax.Run) -> np.ndar
 
 def test_the_root_is_taken_to_choose_as_it_does(learned: Learned):
     root, tables = learned.learner.root, learned.tables.root
-    child_value = learned.learner._child_value(learned.prepared.graph, learned.tables.parts)
+    child_value = learned.learner._child_value(learned.prepared.layout, learned.tables.q)
     found = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, ZERO)))(
         jnp.arange(SMALL.num_states, dtype=jnp.int32)
     )
@@ -107,7 +107,7 @@ def model() -> Model:
 
 def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned, model: Model):
     """By backward induction over (subtask, state) pairs in float64."""
-    actions = learned.parts.sum(-1).argmax(-1)
+    actions = learned.q.sum(-1).argmax(-1)
     rows, tasks = (np.arange(SMALL.num_states), actions), np.arange(len(ACTIVE))[:, None, None]
     value = np.zeros(ACTIVE.shape)
     for _ in range(SHORT.max_steps):

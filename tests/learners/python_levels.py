@@ -247,7 +247,7 @@ class Decomposed:
         """Every number, also of what was never visited."""
         learners = [task for task in self.graph.children if self.root_learns or task != self.root]
         width = max(len(self.graph.children[task]) for task in learners)
-        found = np.asarray(learned.parts).reshape(len(learners), -1, width, len(self.initial(self.root)))
+        found = np.asarray(learned.q).reshape(len(learners), -1, width, len(self.initial(self.root)))
         for number, task in enumerate(learners):
             for slot, child in enumerate(self.graph.children[task]):
                 rows = np.stack([self.table[task, state, child] for state in range(found.shape[1])])

@@ -11,7 +11,7 @@ import numpy as np
 import hrljax
 from hrljax.core import random
 from hrljax.envs.bus.env import BusParams
-from hrljax.learners.base import Experience, Moment
+from hrljax.learners.base import Context, Transition
 from tests.maps import SMALL
 
 F = np.float32
@@ -117,9 +117,9 @@ def assert_learns_only_when_live(learner: Any) -> None:
         words = tuple(jnp.uint32(9 * i) for i in range(learner.num_words))
 
         def step(state: Any, live: jax.Array) -> Any:
-            here = Experience(jnp.int32(5), jnp.int32(2), jnp.float32(-3), jnp.int32(9), jnp.bool_(False))
-            moment = Moment(jnp.int32(0), live, jnp.uint32(0), lockstep=True)
-            return learner.learn(prepared, state, here, words, moment)
+            here = Transition(jnp.int32(5), jnp.int32(2), jnp.float32(-3), jnp.int32(9), jnp.bool_(False))
+            context = Context(jnp.int32(0), live, jnp.uint32(0), vmapped=True)
+            return learner.learn(prepared, state, here, words, context)
 
         start = learner.init(SMALL, prepared)
         before = jax.lax.fori_loop(0, live_steps, lambda _, state: step(state, jnp.bool_(True)), start)

@@ -148,7 +148,7 @@ class Hierarchical:
 
     def compare(self, learned: Any, bus: Bus) -> None:
         used = [0, 1, 2, 3] if self.is_hordq else [0, 1, 3]  # MAXQ-Q reads no Q_e
-        parts = np.asarray(learned.parts).reshape(self.parts.shape)
+        parts = np.asarray(learned.q).reshape(self.parts.shape)
         np.testing.assert_array_equal(parts[..., used], self.parts[..., used])
         if self.root:
             self.root.compare(learned.root, bus)

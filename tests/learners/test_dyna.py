@@ -10,7 +10,7 @@ import pytest
 import hrljax
 from hrljax.core import random
 from hrljax.learners import samples
-from hrljax.learners.base import Experience
+from hrljax.learners.base import Transition
 from hrljax.learners.dyna import DynaQ
 from tests.learners.python_run import (
     PAIRS,
@@ -89,7 +89,7 @@ def test_the_latest_outcomes_are_kept():
         found = samples.empty(2, 2, 2)
         for reward, after, terminated, live in steps:
             here, action = jnp.int32(1), jnp.int32(1)
-            step = Experience(here, action, jnp.float32(reward), jnp.int32(after), jnp.bool_(terminated))
+            step = Transition(here, action, jnp.float32(reward), jnp.int32(after), jnp.bool_(terminated))
             found = samples.recorded(found, jnp.int32(3), step, 2, jnp.bool_(live))
         return found
 

@@ -13,6 +13,8 @@ import hrljax
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.experiments.backup import PseudoRewardInBackup
 from hrljax.learners import updates
+from hrljax.learners.hordq import Q, hordq_target
+from tests.contexts import learning
 
 KEY = jax.random.key(5)
 EPISODES = 100
@@ -47,7 +49,7 @@ def hordq() -> Any:
 
 def parts(run: hrljax.Run) -> np.ndarray:
     """``[tasks, S, A, 4]``"""
-    return np.asarray(run.learned.parts).reshape(6, 2304, 4, 4)
+    return np.asarray(run.learned.q).reshape(6, 2304, 4, 4)
 
 
 def assert_equal(one: Any, other: Any) -> None:
@@ -114,9 +116,9 @@ def experience(steps: int, tasks: int = TASKS, dtype: Any = np.float32) -> Exper
 def updated(tables: Array, step: Experience, child: Array, discount: Array, pseudo_reward: Array) -> Array:
     """One update of HORDQ on ``[tasks, S, A, 4]`` by the library's rules."""
     zero = jnp.uint32(0)
-    follows = updates.Parts(*tables[step.next_task, step.after, child])
+    follows = Q(*tables[step.next_task, step.after, child])
     pseudo = jnp.where(step.goal, pseudo_reward, jnp.zeros_like(pseudo_reward))
-    target = updates.hordq_targets(step.reward, discount, step.exited, pseudo, follows, zero)
+    target = hordq_target(step.reward, learning().discounted(discount), step.exited, pseudo, follows)
     old = tables[step.task, step.state, step.action]
     new = updates.increment(old, jnp.stack(target), step.step_size, jnp.bool_(True), zero)
     return tables.at[step.task, step.state, step.action].set(new)
@@ -152,7 +154,7 @@ def test_hordq_over_one_leaf_with_exits_to_itself_is_q_learning():
                 tables, q = carry
                 best = jnp.argmax(tables[0, now.after, :, :PSEUDO].sum(-1))
                 tables = updated(tables, now, best, discount, jnp.float64(5))
-                target = updates.td_target(now.reward, discount, q[now.after].max(), zero)
+                target = updates.td_target(now.reward, learning().discounted(discount), q[now.after].max())
                 at = now.state, now.action
                 q = q.at[at].set(updates.increment(q[at], target, now.step_size, jnp.bool_(True), zero))
                 return (tables, q), jnp.abs(tables[0, ..., :PSEUDO].sum(-1) - q).max()

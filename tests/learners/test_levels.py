@@ -65,7 +65,7 @@ def test_hordq_over_one_level_is_q_learning():
     flat = learned(hrljax.QLearning(**numbers))
     one_level = learned(hrljax.HORDQ(hierarchy, pseudo_reward=5.0, **numbers))
     assert int(one_level.steps) == int(flat.steps) > 500
-    reward, completion, after_exit, pseudo = np.asarray(one_level.learned.parts).reshape(-1, 4).T
+    reward, completion, after_exit, pseudo = np.asarray(one_level.learned.q).reshape(-1, 4).T
     np.testing.assert_allclose(reward + completion + after_exit, flat.learned, rtol=1e-5)
     assert not after_exit.any()
     assert not pseudo.any()

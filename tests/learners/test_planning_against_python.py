@@ -46,7 +46,7 @@ def test_trials_with_one_nth_step_sizes_give_the_average_outcome():
     """Counted from empty entries: probabilities are those of the sample, and never sum to less."""
     reached = np.random.default_rng(1).integers(0, 3, 9)
     entries = [jnp.float32(0)] * 4
-    fixed = {"outcomes": [jnp.int32(x) for x in range(3)], "weight": jnp.float32(1), "live": jnp.bool_(True)}
+    fixed = {"outcomes": [jnp.int32(x) for x in range(3)], "weight": jnp.float32(1), "learns": jnp.bool_(True)}
     step = jax.jit(partial(updated, **fixed))
     for outcome in reached:
         entries = step(entries, outcome=jnp.int32(outcome), step_size=jnp.float32(0.1), zero=jnp.uint32(0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hrljax
-from hrljax.learners.base import Experience, LearnerState, Moment
+from hrljax.learners.base import Context, LearnerState, Transition
 from hrljax.learners.traces import QLambda, SARSALambda, TraceControl, TraceTables
 from tests.learners.python_run import (
     PAIRS,
@@ -31,13 +31,13 @@ def two_state_episode(learner: Any, words: tuple[int, int] = (0, 0)) -> list[flo
 
     @jax.jit
     def run() -> jax.Array:
-        moment = Moment(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
+        context = Context(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
         tables = TraceTables(jnp.zeros(4), jnp.full(learner._ring, -1, jnp.int32))
         state = LearnerState(tables, TraceControl(jnp.int32(0), jnp.int32(0)))
         for (here, reward, after), word in zip([(0, 4, 1), (1, 0, 0), (0, 8, 0)], (*words, 0), strict=True):
             numbers = jnp.int32(here), learner.action(state.control), jnp.float32(reward), jnp.int32(after)
-            step = Experience(*numbers, jnp.bool_(reward == 8))
-            state = learner.learn(2, state, step, (jnp.uint32(word),), moment)
+            step = Transition(*numbers, jnp.bool_(reward == 8))
+            state = learner.learn(2, state, step, (jnp.uint32(word),), context)
         return state.tables.values
 
     return np.asarray(run()).tolist()

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from hrljax.core.choices import epsilon_greedy, greedy, pick
 from hrljax.core.random import WORD_RANGE
-from hrljax.learners.updates import Parts, hordq_targets, increment, td_target, traced_increment
+from hrljax.learners.hordq import Q, hordq_target
+from hrljax.learners.updates import increment, td_target, traced_increment
+from tests.contexts import learning
 
 ZERO = np.uint32(0)
-NEXT = Parts(reward=-2.0, completion=-8.0, exit=-16.0, pseudo=4.0)
+NEXT = Q(r=-2.0, c=-8.0, e=-16.0, p=4.0)
 few_values = st.lists(st.floats(-100, 100, width=32, allow_subnormal=False), min_size=1, max_size=7)
 
 
@@ -20,11 +22,15 @@ def scalars(values: list[float]) -> list[jax.Array]:
     return [jnp.float32(v) for v in values]
 
 
-def targets(reward: float, discount: float, exited: bool, pseudo_reward: float, next_t: Parts = NEXT) -> dict:
-    numbers = jnp.float32(reward), jnp.float32(discount), jnp.bool_(exited), jnp.float32(pseudo_reward)
-    found = jax.jit(hordq_targets)(*numbers, Parts(*scalars(list(next_t))), jnp.uint32(0))
-    assert all(part.dtype == jnp.float32 for part in found)
-    return {name: float(part) for name, part in found._asdict().items()}
+def targets(reward: float, discount: float, exited: bool, pseudo_reward: float, q_next: Q = NEXT) -> dict:
+    numbers = jnp.float32(reward), jnp.bool_(exited), jnp.float32(pseudo_reward), Q(*scalars(list(q_next)))
+
+    def target(reward, exited, pseudo_reward, q_next):
+        return hordq_target(reward, learning().discounted(jnp.float32(discount)), exited, pseudo_reward, q_next)
+
+    q = jax.jit(target)(*numbers)
+    assert all(part.dtype == jnp.float32 for part in q)
+    return {name: float(part) for name, part in q._asdict().items()}
 
 
 @pytest.mark.parametrize(
@@ -57,23 +63,24 @@ def test_increment_of_a_row_takes_scalars_or_rows():
 @pytest.mark.parametrize(("discount", "target"), [(1, -21), (0.5, -11), (0, -1)])
 def test_td_target_is_the_reward_and_the_discounted_value(discount: float, target: float):
     for as_dtype in (np.float32, jnp.float32):
-        assert td_target(jnp.float32(-1), as_dtype(discount), jnp.float32(-20), ZERO) == target
+        gamma = learning().discounted(as_dtype(discount))
+        assert td_target(jnp.float32(-1), gamma, jnp.float32(-20)) == target
 
 
 def test_hordq_bootstraps_part_by_part_while_the_subtask_goes_on():
-    assert targets(-1, 1.0, False, 5.0) == {"reward": -1, "completion": -10, "exit": -16, "pseudo": 4}
-    assert targets(-1, 0.5, False, 5.0) == {"reward": -1, "completion": -5, "exit": -8, "pseudo": 2}
+    assert targets(-1, 1.0, False, 5.0) == {"r": -1, "c": -10, "e": -16, "p": 4}
+    assert targets(-1, 0.5, False, 5.0) == {"r": -1, "c": -5, "e": -8, "p": 2}
 
 
 def test_hordq_bootstraps_the_exit_on_the_whole_next_value_when_the_subtask_has_ended():
-    assert targets(-1, 1.0, True, 5.0) == {"reward": -1, "completion": 0, "exit": -26, "pseudo": 5}
-    assert targets(-1, 0.5, True, 5.0) == {"reward": -1, "completion": 0, "exit": -13, "pseudo": 5}
+    assert targets(-1, 1.0, True, 5.0) == {"r": -1, "c": 0, "e": -26, "p": 5}
+    assert targets(-1, 0.5, True, 5.0) == {"r": -1, "c": 0, "e": -13, "p": 5}
 
 
 def test_hordq_leaves_nothing_after_the_end_of_the_episode():
-    nothing = Parts(0.0, 0.0, 0.0, 0.0)
-    assert targets(-51, 1.0, True, 0.0, nothing) == {"reward": -51, "completion": 0, "exit": 0, "pseudo": 0}
-    assert targets(-51, 1.0, False, 5.0, nothing) == {"reward": -51, "completion": 0, "exit": 0, "pseudo": 0}
+    after_the_end = Q(0.0, 0.0, 0.0, 0.0)
+    assert targets(-51, 1.0, True, 0.0, after_the_end) == {"r": -51, "c": 0, "e": 0, "p": 0}
+    assert targets(-51, 1.0, False, 5.0, after_the_end) == {"r": -51, "c": 0, "e": 0, "p": 0}
 
 
 number = st.floats(-64, 64, width=16).map(lambda x: round(x * 4) / 4)
@@ -82,16 +89,16 @@ number = st.floats(-64, 64, width=16).map(lambda x: round(x * 4) / 4)
 @given(reward=number, discount=st.sampled_from([0.25, 0.5, 1.0]), exited=st.booleans(), parts=st.tuples(*[number] * 4))
 @settings(deadline=None, max_examples=50)
 def test_the_real_parts_of_hordq_sum_to_the_flat_target_whatever_the_pseudo_reward(reward, discount, exited, parts):
-    with_pseudo = targets(reward, discount, exited, 60.0, Parts(*parts))
-    without = targets(reward, discount, exited, 0.0, Parts(*parts[:3], 0.0))
-    real = ("reward", "completion", "exit")
+    with_pseudo = targets(reward, discount, exited, 60.0, Q(*parts))
+    without = targets(reward, discount, exited, 0.0, Q(*parts[:3], 0.0))
+    real = ("r", "c", "e")
     assert [with_pseudo[name] for name in real] == [without[name] for name in real]
     assert sum(without[name] for name in real) == reward + discount * sum(parts[:3])
 
 
 def test_parts_refuse_to_be_joined_like_tuples():
     with pytest.raises(TypeError):
-        Parts(*scalars([1, 2, 3, 4])) + Parts(*scalars([1, 2, 3, 4]))
+        Q(*scalars([1, 2, 3, 4])) + Q(*scalars([1, 2, 3, 4]))
 
 
 @pytest.mark.parametrize("count", range(1, 8))

@@ -17,7 +17,7 @@ from hrljax.envs.grid.gridworld import Gridworld
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
 from hrljax.hierarchy.definition import Hierarchy, Subtask
-from hrljax.hierarchy.layout import task_graph
+from hrljax.hierarchy.layout import stack_layout
 from hrljax.hierarchy.leaf_cover import total_leaf_cover
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.hierarchy.tables import tabulate
@@ -151,7 +151,7 @@ def test_a_policy_has_the_value_that_the_learners_evaluation_gives_it():
     process = joint_process(hierarchy, tables.active, SMALL.model(params))
     value = decompose(process, process.weights(policy)).value[0]
     by_learners = HierarchicalPolicy(
-        task_graph(hierarchy, SMALL, root_learns=False), jnp.asarray(actions), jnp.asarray(choice.T, jnp.float32)
+        stack_layout(hierarchy, SMALL, root_learns=False), jnp.asarray(actions), jnp.asarray(choice.T, jnp.float32)
     )
     evaluated = jax.jit(lambda: expected_return(SMALL, by_learners, params, jnp.uint32(0)))()
     assert float(SMALL.initial_distribution() @ value) == pytest.approx(float(evaluated), rel=1e-3)

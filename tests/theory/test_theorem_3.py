@@ -12,6 +12,8 @@ import pytest
 from jax import Array, lax
 
 from hrljax.learners import updates
+from hrljax.learners.hordq import Q, hordq_target
+from tests.contexts import learning
 from tests.strategies import SHARES, Problem, random_problem
 
 PSEUDO = 3
@@ -57,10 +59,9 @@ def errors(problem: Problem, exits: Array) -> Array:
         row = tables[next_task, after]
         child = jnp.argmax(row[:, :PSEUDO].sum(-1))
         nothing = jnp.float64(0)
-        target = updates.hordq_targets(
-            reward[state, action], discount, exited, nothing, updates.Parts(*row[child]), zero
-        )
-        target = target._replace(exit=jnp.where(exits, target.exit, nothing))
+        gamma = learning().discounted(discount)
+        target = hordq_target(reward[state, action], gamma, exited, nothing, Q(*row[child]))
+        target = target._replace(e=jnp.where(exits, target.e, nothing))
         at = task, state, action
         visits = visits.at[at].add(1)
         new = updates.increment(tables[at], jnp.stack(target), visits[at] ** -POWER, jnp.bool_(True), zero)

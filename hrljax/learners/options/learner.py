@@ -8,16 +8,16 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks, choices
-from hrljax.core.numerics import exact_product, put_row, take_row
+from hrljax.core.numerics import take_row
 from hrljax.core.random import threshold
 from hrljax.envs.base import AnyTabularEnvironment
-from hrljax.hierarchy.layout import Kind, TaskGraph
+from hrljax.hierarchy.layout import ChildSet, StackLayout
 from hrljax.hierarchy.policy import HierarchicalPolicy
-from hrljax.hierarchy.tables import TaskTables, state_in_words
-from hrljax.learners import updates
-from hrljax.learners.base import Experience, Learner, LearnerState, Moment
+from hrljax.hierarchy.tables import state_in_words
+from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.options.definition import Options
+from hrljax.learners.updates import Move, moved, td_target
 
 Update = Literal["smdp", "intra_option"]
 
@@ -39,14 +39,14 @@ class OptionTables:
     rows: np.ndarray  # [S * O] int32: action (-1 if the option cannot run here) << 2 | terminates << 1 | can begin
     num_options: int
     initiation: np.ndarray  # [O, S] bool
-    graph: TaskGraph  # for exact evaluation
+    layout: StackLayout  # for exact evaluation
 
     def row(self, state: Array) -> Array:
         return take_row(jnp.asarray(self.rows), state * self.num_options, self.num_options)
 
 
 @dataclass(frozen=True)
-class OptionQ(Learner):
+class OptionQ(Learner[OptionTables, Array, Running]):
     """Q-learning over options, called and followed until they terminate.
 
     `"smdp"` learns the value of an option when it terminates, from the rewards since it was
@@ -90,70 +90,64 @@ class OptionQ(Learner):
         control = Running(none, none, none, jnp.float32(0), jnp.float32(1))
         return LearnerState(jnp.full(env.num_states * prepared.num_options, value), control)
 
-    def begin(
-        self, prepared: OptionTables, tables: Array, first: Array, words: tuple[Array, ...], moment: Moment
-    ) -> Running:
-        return self._called(prepared, tables, first, words[0], moment)
+    def begin(self, prepared: OptionTables, tables: Array, first: Array, words: Words, context: Context) -> Running:
+        return self._called(prepared, tables, first, words[0], context)
 
     def action(self, control: Running) -> Array:
         return control.action
 
     def learn(
-        self, prepared: OptionTables, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: OptionTables, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
         q, running = state
-        count, after = prepared.num_options, step.next_state
-        discount = at_episode(self.discount, moment.episode)
-        there = prepared.row(after)
-        ends = (there & 2) != 0
+        count, after = prepared.num_options, transition.next_state
+        gamma = context.discounted(at_episode(self.discount, context.episode))
+        row = prepared.row(after)
+        ends = (row & 2) != 0
         running = running._replace(
-            reward=running.reward + exact_product(running.discount, step.reward, moment.zero),
-            discount=exact_product(discount, running.discount, moment.zero),
+            reward=running.reward + context.product(running.discount, transition.reward),
+            discount=gamma(running.discount),
         )
-        over = _entry(ends, running.option) | step.terminated
-        following = take_row(q, after * count, count)
-        is_called = over & ~step.terminated  # some option is
-        needed = is_called if self.update == "smdp" else ~step.terminated
-        best = lax.cond(needed, lambda: _best(following, there)[1], lambda: jnp.float32(0))
-        step_size = at_episode(self.step_size, moment.episode)
+        over = _entry(ends, running.option) | transition.terminated
+        q_after = take_row(q, after * count, count)
+        is_called = over & ~transition.terminated  # some option is
+        needed = is_called if self.update == "smdp" else ~transition.terminated
+        best = lax.cond(needed, lambda: _best(q_after, row)[1], lambda: jnp.float32(0))
         if self.update == "smdp":
-            place = running.state * count + running.option
-            old = take_row(q, place, 1)
-            target = updates.td_target(running.reward, running.discount, best, moment.zero)[None]
-            learns = over & moment.live
+            start = running.state * count + running.option
+            target = td_target(running.reward, context.discounted(running.discount), best)[None]
+            move = Move(start, target, over)
         else:
-            place = step.state * count
-            old = take_row(q, place, count)
-            goes_on = ~ends & ~step.terminated
-            follows = lax.select(goes_on, following, jnp.broadcast_to(best, following.shape))
-            target = updates.td_target(step.reward, discount, follows, moment.zero)
-            learns = ((prepared.row(step.state) >> 2) == step.action) & moment.live
-        q = put_row(q, place, updates.increment(old, target, step_size, learns, moment.zero))
+            goes_on = ~ends & ~transition.terminated
+            q_next = lax.select(goes_on, q_after, jnp.broadcast_to(best, q_after.shape))
+            takes_it_too = (prepared.row(transition.state) >> 2) == transition.action
+            move = Move(transition.state * count, td_target(transition.reward, gamma, q_next), takes_it_too)
+        q = moved(q, [move], at_episode(self.step_size, context.episode), context)
         control = lax.cond(
             is_called,
-            lambda: self._called(prepared, q, after, words[0], moment),
-            lambda: running._replace(action=_entry(there >> 2, running.option)),
+            lambda: self._called(prepared, q, after, words[0], context),
+            lambda: running._replace(action=_entry(row >> 2, running.option)),
         )
         return LearnerState(q, control)
 
     def greedy_policy(
-        self, env: AnyTabularEnvironment, prepared: OptionTables, tables: Array, zero: Array
+        self, env: AnyTabularEnvironment, prepared: OptionTables, tables: Array, context: Context
     ) -> HierarchicalPolicy:
         q = tables.reshape(-1, prepared.num_options).T
         can_begin = jnp.asarray(prepared.initiation)
         called = jnp.argmax(jnp.where(can_begin, q, jnp.full_like(q, -np.inf)), axis=0).astype(jnp.int32)
         inside = np.maximum(self.options.policy, 0)
         slots = jnp.concatenate([called[None], jnp.asarray(inside)])
-        return HierarchicalPolicy(prepared.graph, slots, None)
+        return HierarchicalPolicy(prepared.layout, slots, None)
 
-    def _called(self, prepared: OptionTables, q: Array, state: Array, word: Array, moment: Moment) -> Running:
+    def _called(self, prepared: OptionTables, q: Array, state: Array, word: Array, context: Context) -> Running:
         """The option that is called in a state."""
-        here, count = prepared.row(state), prepared.num_options
-        greedy = _best(take_row(q, state * count, count), here)[0]
-        can_begin = [(here[o] & 1) != 0 for o in range(count)]
-        explores = word < threshold(at_episode(self.epsilon, moment.episode))
+        row, count = prepared.row(state), prepared.num_options
+        greedy = _best(take_row(q, state * count, count), row)[0]
+        can_begin = [(row[o] & 1) != 0 for o in range(count)]
+        explores = word < threshold(at_episode(self.epsilon, context.episode))
         option = lax.select(explores, choices.nth_allowed(can_begin, word), greedy)
-        return Running(option, _entry(here >> 2, option), state, jnp.float32(0), jnp.float32(1))
+        return Running(option, _entry(row >> 2, option), state, jnp.float32(0), jnp.float32(1))
 
 
 def _entry(row: Array, index: Array) -> Array:
@@ -182,19 +176,21 @@ def option_tables(options: Options, env: AnyTabularEnvironment) -> OptionTables:
     rows = (policy << 2) | (termination.astype(np.int32) << 1) | initiation.astype(np.int32)
     if not options.primitives:
         _check_always_one(options, env)
-    own, of_root = len(options.names), options.num_primitives
-    none = (-1,)
-    actions = tuple(range(of_root)) + none * own
-    root = Kind(actions, none * of_root + tuple(range(1, own + 1)))
-    plain = Kind(tuple(range(env.num_actions)), none * env.num_actions)
+    num_options, of_root, none = len(options.names), options.num_primitives, (-1,)
+    numbers = tuple(range(1, num_options + 1))
+    root = ChildSet(tuple(range(of_root)) + none * num_options, none * of_root + numbers)
+    plain = ChildSet(tuple(range(env.num_actions)), none * env.num_actions)
     active = np.concatenate([np.ones((1, env.num_states), np.bool_), ~options.termination])
-    # A value needs of the tables only where subtasks go on.
-    unused = {name: np.zeros(0) for name in TaskTables.__dataclass_fields__ if name != "active"}
-    tables = TaskTables(active, **unused)
-    levels = ((0,), tuple(range(1, own + 1))) if own else ((0,),)
-    kind_of = (0,) + (1,) * own
-    graph = TaskGraph(tables, env.num_states, env.num_actions, 0, (root, plain), kind_of, levels)
-    return OptionTables(np.ascontiguousarray(rows.T).ravel(), options.num_options, initiation, graph)
+    layout = StackLayout(
+        active=active,
+        goal=np.zeros(active.shape, np.float32),
+        num_actions=env.num_actions,
+        offset=0,
+        child_sets=(root, plain),
+        child_set_of=(0,) + (1,) * num_options,
+        levels=((0,), numbers) if numbers else ((0,),),
+    )
+    return OptionTables(np.ascontiguousarray(rows.T).ravel(), options.num_options, initiation, layout)
 
 
 def _check_always_one(options: Options, env: AnyTabularEnvironment) -> None:

@@ -18,7 +18,7 @@ from hrljax.envs.mario.engine.player import finish, move, steer
 from hrljax.envs.mario.engine.state import Player
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.levels.tiles import TILE
-from hrljax.learners.base import Experience
+from hrljax.learners.base import Transition
 from hrljax.search.best_first import ModelFn
 
 
@@ -49,7 +49,7 @@ class MarioDynamics:
     def init(self, env: Mario) -> tuple[()]:
         return ()
 
-    def observe(self, env: Mario, tables: tuple[()], step: Experience, live: Array) -> tuple[()]:
+    def observe(self, env: Mario, tables: tuple[()], transition: Transition, learns: Array) -> tuple[()]:
         return ()
 
     def refit(self, env: Mario, tables: tuple[()]) -> tuple[()]:

@@ -22,7 +22,7 @@ from hrljax.envs.mario.engine.state import World
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_SYMBOLS, VELOCITY_UNIT, cell, painted, window
 from hrljax.envs.mario.levels.tiles import HEIGHT, TILE
-from hrljax.learners.base import Experience
+from hrljax.learners.base import Transition
 from hrljax.learners.relational.visited import is_met, mark, nothing_met
 from hrljax.search.best_first import ModelFn
 from hrljax.trees.inputs import MAX_BINS
@@ -133,22 +133,22 @@ class MarioModel:
         met = nothing_met() if self.pessimism else ()
         return ModelTables(self.empty(), self.unfitted(env.num_actions), met)
 
-    def observe(self, env: Mario, tables: ModelTables, step: Experience, live: Array) -> ModelTables:
-        """Keeps a transition for the next fit, where `live`."""
-        before, after = step.state.world, step.next_state.world
+    def observe(self, env: Mario, tables: ModelTables, transition: Transition, learns: Array) -> ModelTables:
+        """Keeps a transition for the next fit, where `learns`."""
+        before, after = transition.state.world, transition.next_state.world
         inputs, met = self.inputs(env.course, before), tables.met
         if self.pessimism:
-            met = mark(met, self._rounded(inputs, step.action), live)
+            met = mark(met, self._rounded(inputs, transition.action), learns)
         replay = self.add(
             tables.replay,
             inputs,
-            step.action,
+            transition.action,
             body_of(before),
             body_of(after),
-            step.reward,
-            step.terminated,
+            transition.reward,
+            transition.terminated,
             env.num_actions,
-            live,
+            learns,
         )
         return tables._replace(replay=replay, met=met)
 
@@ -210,10 +210,10 @@ class MarioModel:
         reward: Array,
         terminated: Array,
         num_actions: int,
-        live: Array,
+        learns: Array,
     ) -> Replay:
-        """Keeps a transition, where `live`. Of a last one only the reward is known."""
-        place = lax.select(jnp.asarray(live), replay.added % np.int32(self.rows), jnp.int32(self.rows))
+        """Keeps a transition, where `learns`. Of a last one only the reward is known."""
+        place = lax.select(jnp.asarray(learns), replay.added % np.int32(self.rows), jnp.int32(self.rows))
         tile = np.float32(1 / TILE)
         targets = jnp.stack([(after.x - before.x) * tile, (after.y - before.y) * tile, after.dx, after.dy])
         group = lax.select(terminated, jnp.int32(num_actions), action)
@@ -224,7 +224,7 @@ class MarioModel:
             targets=lax.dynamic_update_slice(replay.targets, targets[None], (place, zero)),
             reward=lax.dynamic_update_slice(replay.reward, reward[None], (place,)),
             group=lax.dynamic_update_slice(replay.group, group[None], (place,)),
-            added=one_more(replay.added, self.rows, jnp.asarray(live)),
+            added=one_more(replay.added, self.rows, jnp.asarray(learns)),
         )
 
     def fit(self, replay: Replay, num_actions: int) -> Learned:

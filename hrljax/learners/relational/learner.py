@@ -17,14 +17,14 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks, choices
-from hrljax.core.numerics import exact_product, put_row, take_row
+from hrljax.core.numerics import put_row, take_row
 from hrljax.envs.mario.engine.state import MAX_SPRITES
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
-from hrljax.learners import updates
-from hrljax.learners.base import Experience, Learner, LearnerState, Moment
+from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.learners.updates import td_target
 
 Bootstrap = Literal["on_policy", "greedy"]
 Concepts = tuple[Array, Array]
@@ -52,7 +52,7 @@ class Control(NamedTuple):
     """What the agent is about to do."""
 
     action: Array  # int32
-    plan: Any  # what is left of the root's plan, or () without a root
+    decision: Any  # what the root suggested last, a `Decision`; or () without a root
 
 
 class Prepared(NamedTuple):
@@ -61,7 +61,7 @@ class Prepared(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RelationalHORDQ(Learner):
+class RelationalHORDQ(Learner[Prepared, Tables, Control]):
     """HORDQ with relational features in the one subtask Action(t), under a root that plans (thesis 4.2.5).
 
     With a pseudo-reward of 0 it is relational SARSA; with a very large one it follows its root.
@@ -103,7 +103,7 @@ class RelationalHORDQ(Learner):
 
     @property
     def planning_interval(self) -> int:
-        return 0 if self.root is None else self.root.refit_interval
+        return 0 if self.root is None else self.root.planning_interval
 
     def prepare(self, env: Any) -> Prepared:
         checks.instance("env", env, Mario, "Mario, hrljax.make('Mario'), for RelationalHORDQ")
@@ -120,62 +120,52 @@ class RelationalHORDQ(Learner):
             cells = jnp.zeros((self.trace_length, MAX_SPRITES), jnp.int32)
             trail = Trail(cells, places, places, jnp.int32(0))
         root: Any = () if self.root is None else self.root.init(prepared.env)
-        plan: Any = () if self.root is None else self.root.no_plan()
-        return LearnerState(Tables(weights, trail, root), Control(jnp.int32(0), plan))
+        return LearnerState(Tables(weights, trail, root), Control(jnp.int32(0), ()))
 
-    def begin(
-        self, prepared: Prepared, tables: Tables, first: Any, words: tuple[Array, ...], moment: Moment
-    ) -> Control:
-        plan: Any = ()
-        suggested = None
+    def begin(self, prepared: Prepared, tables: Tables, first: Any, words: Words, context: Context) -> Control:
+        decision: Any = ()
         if self.root is not None:
-            plan = self.root.advise(prepared.env, tables.root, self.root.no_plan(), first, jnp.bool_(True))
-            suggested = plan.action
+            decision = self.root.begin(prepared.env, tables.root, first, context)
         values = self._values(prepared, tables.weights, _concepts(first))
-        return Control(self._choose(values, suggested, words[0], moment), plan)
+        return Control(self._choose(values, decision, words[0], context), decision)
 
     def action(self, control: Control) -> Array:
         return control.action
 
     def learn(
-        self, prepared: Prepared, state: LearnerState, step: Experience, words: tuple[Array, ...], moment: Moment
+        self, prepared: Prepared, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
-        tables, control = state
-        plan, suggested, root = control.plan, None, tables.root
+        tables: Tables = state.tables
+        decision, root = state.control.decision, tables.root
+        discount = jnp.asarray(at_episode(self.discount, context.episode))
         if self.root is not None:
-            root = self.root.observe(prepared.env, tables.root, step, moment)
-            # Decides with the trees, which a step does not change.
-            asked = ~step.terminated & moment.live
-            plan = self.root.advise(prepared.env, tables.root, control.plan, step.next_state, asked)
-            suggested = plan.action
-        before = _concepts(step.state)
-        values = self._values(prepared, tables.weights, _concepts(step.next_state))
-        action = self._choose(values, suggested, words[0], moment)
-        follows = choices.pick(values, action) if self.bootstrap == "on_policy" else choices.greedy(values)[1]
-        follows = lax.select(step.terminated, jnp.float32(0), follows)
-        target = updates.td_target(step.reward, at_episode(self.discount, moment.episode), follows, moment.zero)
-        old = choices.pick(self._values(prepared, tables.weights, before), step.action)
-        size = lax.select(
-            jnp.asarray(moment.live), jnp.asarray(at_episode(self.step_size, moment.episode)), jnp.float32(0)
-        )
-        change = exact_product(size, target - old, moment.zero)
-        if self.trace_length:
-            trail = _reached(tables.trail, before, step, self.trace_length, moment.live)
-            decay = exact_product(
-                jnp.asarray(at_episode(self.discount, moment.episode)),
-                jnp.asarray(self.trace_decay, jnp.float32),
-                moment.zero,
+            # Action(t) ends with every step.
+            root, decision = self.root.step(
+                prepared.env, root, decision, transition, True, discount, transition.next_state, context
             )
-            weights = self._along(prepared, tables.weights, trail, change, decay, moment)
-            trail = trail._replace(length=lax.select(step.terminated & moment.live, jnp.int32(0), trail.length))
+        before = _concepts(transition.state)
+        values = self._values(prepared, tables.weights, _concepts(transition.next_state))
+        action = self._choose(values, decision, words[0], context)
+        q_next = choices.pick(values, action) if self.bootstrap == "on_policy" else choices.greedy(values)[1]
+        q_next = lax.select(transition.terminated, jnp.float32(0), q_next)
+        target = td_target(transition.reward, context.discounted(discount), q_next)
+        old = choices.pick(self._values(prepared, tables.weights, before), transition.action)
+        step_size = jnp.asarray(at_episode(self.step_size, context.episode))
+        change = context.product(lax.select(jnp.asarray(context.learns), step_size, jnp.float32(0)), target - old)
+        if self.trace_length:
+            trail = _reached(tables.trail, before, transition, self.trace_length, context.learns)
+            decay = context.product(discount, jnp.asarray(self.trace_decay, jnp.float32))
+            weights = self._along(prepared, tables.weights, trail, change, decay, context)
+            is_over = transition.terminated & context.learns
+            trail = trail._replace(length=lax.select(is_over, jnp.int32(0), trail.length))
         else:
-            trail, weights = (), self._added(prepared, tables.weights, before, step.action, change)
-        return LearnerState(Tables(weights, trail, root), Control(action, plan))
+            trail, weights = (), self._added(prepared, tables.weights, before, transition.action, change)
+        return LearnerState(Tables(weights, trail, root), Control(action, decision))
 
-    def plan(self, prepared: Prepared, tables: Tables, moment: Moment) -> Tables:
+    def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
         if self.root is None:
             return tables
-        return tables._replace(root=self.root.refit(prepared.env, tables.root, moment))
+        return tables._replace(root=self.root.plan(prepared.env, tables.root, context))
 
     def _values(self, prepared: Prepared, weights: Array, concepts: Concepts) -> list[Array]:
         """Value of every action, sums in the order of the list of concepts."""
@@ -204,7 +194,7 @@ class RelationalHORDQ(Learner):
         return lax.while_loop(lambda carry: carry[0] < count, add, (jnp.int32(-1), weights))[1]
 
     def _along(
-        self, prepared: Prepared, weights: Array, trail: Trail, change: Array, decay: Array, moment: Moment
+        self, prepared: Prepared, weights: Array, trail: Trail, change: Array, decay: Array, context: Context
     ) -> Array:
         """The weights after a change along the trail, less and less (accumulating traces)."""
         length = np.int32(self.trace_length)
@@ -214,19 +204,19 @@ class RelationalHORDQ(Learner):
             at = (trail.length - 1 - back) % length
             concepts = (trail.cells[at], trail.counts[at])
             weights = self._added(prepared, weights, concepts, trail.actions[at], change)
-            return back + 1, weights, exact_product(decay, change, moment.zero)
+            return back + 1, weights, context.product(decay, change)
 
         reach = lax.min(trail.length, jnp.int32(length))
         return lax.while_loop(lambda carry: carry[0] < reach, add, (jnp.int32(0), weights, change))[1]
 
-    def _choose(self, values: list[Array], suggested: Array | None, word: Array, moment: Moment) -> Array:
-        if suggested is not None:
-            bonus = jnp.asarray(at_episode(self.pseudo_reward, moment.episode))
-            nothing = jnp.float32(0)
-            values = [value + lax.select(suggested == a, bonus, nothing) for a, value in enumerate(values)]
-        return choices.epsilon_greedy(
-            choices.greedy(values)[0], len(values), word, at_episode(self.epsilon, moment.episode)
-        )
+    def _choose(self, values: list[Array], decision: Any, word: Array, context: Context) -> Array:
+        """The greedy action, with the bonus for what the root suggests, or with probability epsilon any."""
+        if self.root is not None:
+            bonus = jnp.asarray(at_episode(self.pseudo_reward, context.episode))
+            no_bonus = jnp.float32(0)
+            values = [value + lax.select(decision.task == a, bonus, no_bonus) for a, value in enumerate(values)]
+        best = choices.greedy(values)[0]
+        return choices.epsilon_greedy(best, len(values), word, at_episode(self.epsilon, context.episode))
 
 
 def _concepts(episode: Any) -> Concepts:
@@ -243,16 +233,16 @@ def _concepts(episode: Any) -> Concepts:
     return packed[: len(cells)], count
 
 
-def _reached(trail: Trail, concepts: Concepts, step: Experience, length: int, live: Array) -> Trail:
-    """The trail with one more step, where `live`."""
+def _reached(trail: Trail, concepts: Concepts, transition: Transition, length: int, learns: Array) -> Trail:
+    """The trail with one more step, where `learns`."""
     at = trail.length % np.int32(length)
     cells, counts, actions = (
-        lax.select(jnp.broadcast_to(live, new.shape), new, old[at])
-        for new, old in zip((*concepts, step.action), trail[:3], strict=True)
+        lax.select(jnp.broadcast_to(learns, new.shape), new, old[at])
+        for new, old in zip((*concepts, transition.action), trail[:3], strict=True)
     )
     return Trail(
         cells=lax.dynamic_update_slice(trail.cells, cells[None], (at, jnp.int32(0))),
         counts=put_row(trail.counts, at, counts[None]),
         actions=put_row(trail.actions, at, actions[None]),
-        length=trail.length + jnp.asarray(live).astype(jnp.int32),
+        length=trail.length + jnp.asarray(learns).astype(jnp.int32),
     )

@@ -7,27 +7,29 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core import checks
+from hrljax.core.flags import Flag, both
+from hrljax.envs.mario.competition import Episode
 from hrljax.envs.mario.env import Mario
-from hrljax.learners.base import Experience, Moment
-from hrljax.learners.hyperparameters import Hyperparameter, Settings, hyperparameter
-from hrljax.learners.relational.given_model import MarioDynamics
+from hrljax.learners.base import Context, Transition
+from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
 from hrljax.learners.relational.learned_model import MarioModel
-from hrljax.search.best_first import Answer, Count, Priority, SearchResult, best_first_search
+from hrljax.learners.relational.planner_model import PlannerModel
+from hrljax.learners.roots.base import Decision, Root
+from hrljax.search.best_first import Answer, Count, Loop, Priority, SearchResult, best_first_search
 
 Follow = Literal["every_step", "sequence"]
 
 
 class Plan(NamedTuple):
-    """What the root suggests now, and what it would then."""
+    """What is left of a sequence of actions that a search has suggested."""
 
-    action: Array  # int32: suggested now
-    rest: Array  # [depth] int32: the sequence that the search found
-    used: Array  # int32: how much of it is used up
+    actions: Array  # [depth] int32
+    used: Array  # int32: how many of them were suggested
     length: Array  # int32
 
 
 @dataclass(frozen=True)
-class SearchRoot(Settings):
+class SearchRoot(Root[Mario, Any, Episode]):
     """Suggests the first action of the best sequence that a search on a model finds.
 
     Attributes:
@@ -39,7 +41,7 @@ class SearchRoot(Settings):
     """
 
     stop_reward: Hyperparameter = hyperparameter(6.0)
-    model: MarioModel | MarioDynamics = MarioModel()
+    model: PlannerModel[Any] = MarioModel()
     depth: int = 6
     max_nodes: int = 300
     count: Count = "generated"
@@ -48,22 +50,50 @@ class SearchRoot(Settings):
     follow: Follow = "every_step"
     refit_interval: int = 1
 
+    name = "search"
+
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("depth", "max_nodes", "refit_interval"):
             self._check_integer(name, 1)
         for name, allowed in (("count", Count), ("priority", Priority), ("answer", Answer), ("follow", Follow)):
             self._check_choice(name, allowed)
-        checks.instance("SearchRoot: model", self.model, (MarioModel, MarioDynamics), "a MarioModel or MarioDynamics")
+        checks.instance("SearchRoot: model", self.model, PlannerModel, "a MarioModel or MarioDynamics")
 
-    def init(self, env: Mario) -> Any:
-        return self.model.init(env)
+    @property
+    def planning_interval(self) -> int:
+        return self.refit_interval
 
-    def no_plan(self) -> Plan:
-        nothing = jnp.int32(0)
-        return Plan(nothing, jnp.zeros(self.depth, jnp.int32), nothing, nothing)
+    def init(self, prepared: Mario) -> Any:
+        return self.model.init(prepared)
 
-    def search(self, env: Mario, tables: Any, episode: Any) -> SearchResult:
+    def begin(self, prepared: Mario, tables: Any, asked: Episode, context: Context) -> Decision:
+        none = jnp.int32(0)
+        no_plan = Decision(none, Plan(jnp.zeros(self.depth, jnp.int32), none, none))
+        return self._suggested(prepared, tables, no_plan, asked, jnp.bool_(True), context)
+
+    def step(
+        self,
+        prepared: Mario,
+        tables: Any,
+        decision: Decision,
+        transition: Transition,
+        ended: Flag,
+        discount: Array,
+        asked: Episode,
+        context: Context,
+    ) -> tuple[Any, Decision]:
+        observed = self.model.observe(prepared, tables, transition, context.learns)
+        # Decides with the trees, which a step does not change.
+        decides = both(ended, ~transition.terminated & context.learns)
+        return observed, self._suggested(prepared, tables, decision, asked, jnp.asarray(decides), context)
+
+    def plan(self, prepared: Mario, tables: Any, context: Context) -> Any:
+        """Fits the model to what it was told."""
+        refitted = self.model.refit(prepared, tables)
+        return lax.cond(context.learns, lambda: refitted, lambda: tables) if context.vmapped else refitted
+
+    def search(self, env: Mario, tables: Any, episode: Episode, loop: Loop = "while") -> SearchResult:
         """The search from a moment of an episode, with its tree."""
         model, start = self.model.planned(env, tables, episode)
         return best_first_search(
@@ -76,26 +106,23 @@ class SearchRoot(Settings):
             priority=self.priority,
             answer=self.answer,
             stop_reward=jnp.asarray(self.stop_reward, jnp.float32),
+            loop=loop,
         )
 
-    def advise(self, env: Mario, tables: Any, plan: Plan, episode: Any, asked: Array) -> Plan:
-        """The suggestion for a moment of an episode; `plan` as it is where nobody asked."""
+    def _suggested(
+        self, env: Mario, tables: Any, decision: Decision, episode: Episode, decides: Array, context: Context
+    ) -> Decision:
+        """The suggestion for a moment of an episode; `decision` as it is where the root does not decide."""
+        plan: Plan = decision.memory
 
-        def fresh() -> Plan:
-            found = self.search(env, tables, episode)
-            return Plan(found.action, found.actions, jnp.int32(1), found.length)
+        def searched() -> Decision:
+            # Runs that take their steps together wait for the longest search, so it may as well have a fixed length.
+            result = self.search(env, tables, episode, "scan" if context.vmapped else "while")
+            return Decision(result.action, Plan(result.actions, jnp.int32(1), result.length))
 
         if self.follow == "every_step":
-            return lax.cond(asked, fresh, lambda: plan)
-        left = plan.used < plan.length
-        following = plan._replace(action=plan.rest[lax.min(plan.used, self.depth - 1)], used=plan.used + 1)
-        return lax.cond(asked & ~left, fresh, lambda: following)
-
-    def observe(self, env: Mario, tables: Any, step: Experience, moment: Moment) -> Any:
-        """Tells the model of a transition."""
-        return self.model.observe(env, tables, step, moment.live)
-
-    def refit(self, env: Mario, tables: Any, moment: Moment) -> Any:
-        """Fits the model to what it was told."""
-        refitted = self.model.refit(env, tables)
-        return lax.cond(moment.live, lambda: refitted, lambda: tables) if moment.lockstep else refitted
+            return lax.cond(decides, searched, lambda: decision)
+        is_left = plan.used < plan.length
+        next_action = plan.actions[lax.min(plan.used, self.depth - 1)]
+        following = Decision(next_action, plan._replace(used=plan.used + 1))
+        return lax.cond(decides & ~is_left, searched, lambda: following)

@@ -1,34 +1,36 @@
-"""Policies of the root, the subtask that is not in the leaf cover: random, or planned on a model."""
+"""What a hierarchical learner asks of a root that has a policy of its own: the subtask outside of the leaf cover."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 from jax import Array
 
+from hrljax.core.flags import Flag
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
-from hrljax.learners.base import Moment
+from hrljax.learners.base import Context, Transition
 from hrljax.learners.hyperparameters import Settings
 
-ChildValue = Callable[[Array, Array], Array]
+Prepared = TypeVar("Prepared")
+Tables = TypeVar("Tables")
+Asked = TypeVar("Asked")
+"""Type of what a root goes by when it decides."""
+ChildValue: TypeAlias = Callable[[Array, Array], Array]
 """Value of a subtask (int32, counted without the root) from a state (int32) until it ends."""
 
 
 class Decision(NamedTuple):
-    """A choice of the root; int32 scalars."""
+    """A choice of the root, and what it remembers of it until the next one."""
 
-    task: Array  # the subtask, counted without the root
-    point: Array  # number of the decision point, of a root that plans
-    slot: Array  # position of the subtask among those that can be invoked
+    task: Array  # int32: the subtask, counted without the root
+    memory: Any  # a few scalars; () if it remembers nothing
 
 
-class Root(Settings):
-    """How the root chooses among the subtasks that can be invoked; scalar, as `Learner`."""
+class Root(Settings, ABC, Generic[Prepared, Tables, Asked]):
+    """How a root chooses what its subtasks do; scalar and pure, as `hrljax.learners.base.Learner`."""
 
-    name: str
-    learns = False
-    """Whether `observe`, `record` and `plan` do anything."""
+    name: ClassVar[str]
 
     @property
     def planning_interval(self) -> int:
@@ -36,47 +38,70 @@ class Root(Settings):
         return 0
 
     @abstractmethod
-    def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> Any:
-        """Tables that the root needs, made once on the host."""
-
-    def init(self, prepared: Any) -> Any:
+    def init(self, prepared: Prepared) -> Tables:
         """What the root has learned before the first episode."""
-        return ()
 
     @abstractmethod
-    def choose(
-        self, prepared: Any, tables: Any, child_value: ChildValue, state: Array, word: Array, epsilon: Any, zero: Array
-    ) -> tuple[Decision, Any]:
-        """A choice in a state, and what was found out on the way, for `record`."""
+    def begin(self, prepared: Prepared, tables: Tables, asked: Asked, context: Context) -> Decision:
+        """The first choice of an episode."""
 
     @abstractmethod
-    def probabilities(self, prepared: Any, tables: Any, child_value: ChildValue, state: Array, zero: Array) -> Array:
-        """How likely each subtask is to be invoked without exploration, ``[tasks]`` float32."""
-
-    def observe(
+    def step(
         self,
-        prepared: Any,
-        tables: Any,
+        prepared: Prepared,
+        tables: Tables,
         decision: Decision,
-        after: Array,
-        terminated: Array,
+        transition: Transition,
+        ended: Flag,
         discount: Array,
-        moment: Moment,
-    ) -> Any:
-        """Learns that the chosen subtask ended in state `after`, the episode possibly with it.
+        asked: Asked,
+        context: Context,
+    ) -> tuple[Tables, Decision]:
+        """Sees every primitive step, and decides anew where the subtask has ended and the episode goes on.
 
-        `discount` is the discount factor to the power of the subtask's steps.
+        Args:
+            prepared: what the root needs of the environment.
+            tables: what it has learned.
+            decision: what it chose last.
+            transition: the step.
+            ended: whether the subtask ended with it.
+            discount: of this one step, float32.
+            asked: what a new decision goes by.
+            context: where it does not learn, tables stay as they are.
+        """
+
+    def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
+        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`.
+
+        Leaves them alone where `context` does not learn.
         """
         return tables
 
-    def kept(self, prepared: Any, tables: Any, decision: Decision) -> Any:
-        """What `record` has kept where `decision` was taken."""
-        return ()
 
-    def record(self, prepared: Any, tables: Any, decision: Decision, found: Any) -> Any:
-        """Keeps what `choose` found out."""
-        return tables
+class Question(NamedTuple):
+    """What a root over subtasks goes by when it decides."""
 
-    def plan(self, prepared: Any, tables: Any, moment: Moment) -> Any:
-        """Plans between two episodes."""
-        return tables
+    state: Array  # int32: where it decides
+    word: Array  # uint32: a random word
+    epsilon: Array  # float32: the learner's probability of a random choice
+    child_value: ChildValue
+
+
+class SubtaskRoot(Root[Prepared, Tables, Question]):
+    """Chooses among the subtasks of a hierarchy that can be invoked."""
+
+    uses_child_values: ClassVar[bool] = False
+    """Whether it asks what its subtasks are worth until they end."""
+
+    @abstractmethod
+    def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> Prepared:
+        """Tables that the root needs, made once on the host."""
+
+    @abstractmethod
+    def probabilities(
+        self, prepared: Prepared, tables: Tables, child_value: ChildValue, state: Array, context: Context
+    ) -> Array:
+        """How likely each subtask is to be invoked without exploration, ``[tasks]`` float32."""
+
+
+AnySubtaskRoot: TypeAlias = SubtaskRoot[Any, Any]

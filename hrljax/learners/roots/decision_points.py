@@ -4,8 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from hrljax.core.numerics import take_row
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import TaskTables, parts_of_states, tabulate
@@ -44,6 +47,26 @@ class DecisionPoints:
     @property
     def num_points(self) -> int:
         return self.num_x * self.num_y
+
+    # Where numbers lie in flat tables. A pair is ``x * K + slot``: a planning part and a subtask.
+
+    def pair(self, point: Array, slot: Array | int) -> Array:
+        return point // self.num_y * self.num_slots + slot
+
+    def at(self, pair: Array, point: Array) -> Array:
+        """Of a pair and the environment part of a point, in ``[X * K * Y]``."""
+        return pair * self.num_y + point % self.num_y
+
+    def entries(self, pair: Array, point: Array) -> list[Array]:
+        """Of a pair's M outcomes and its count, for the environment part of a point, in ``[X * K * (M + 1) * Y]``."""
+        y = point % self.num_y
+        return [(pair * (self.num_outcomes + 1) + m) * self.num_y + y for m in range(self.num_outcomes + 1)]
+
+    def outcomes_of(self, pair: Array, unused: int = -1) -> list[Array]:
+        """The M planning parts in which a pair's subtask can end, int32."""
+        outcomes = np.where(self.outcomes < 0, np.int32(unused), self.outcomes)
+        row = take_row(jnp.asarray(outcomes), pair * self.num_outcomes, self.num_outcomes)
+        return [row[m] for m in range(self.num_outcomes)]
 
 
 def decision_states(tables: TaskTables, model: Model, initial: np.ndarray) -> np.ndarray:
@@ -96,10 +119,10 @@ def planning_points(hierarchy: Hierarchy, env: AnyTabularEnvironment) -> Decisio
         tasks[x, : len(children)] = children
         can_invoke[x, : len(children)] = invocable[children, x]
         for slot in range(num_slots):
-            found = leaves[int(children[slot])](int(x_names[x])) if slot < len(children) else set()
-            outcomes.append(sorted(np.searchsorted(x_names, sorted(found)).tolist()))
+            ends = leaves[int(children[slot])](int(x_names[x])) if slot < len(children) else set()
+            outcomes.append(sorted(np.searchsorted(x_names, sorted(ends)).tolist()))
     widest = max(map(len, outcomes))
-    padded = np.array([found + [-1] * (widest - len(found)) for found in outcomes], np.int32)
+    padded = np.array([ends + [-1] * (widest - len(ends)) for ends in outcomes], np.int32)
     return DecisionPoints(
         num_x=len(x_names),
         num_y=num_y,

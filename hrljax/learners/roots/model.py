@@ -1,21 +1,21 @@
 """A root that plans on a learned model of its subtasks (thesis 4.1.1)."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from hrljax.core import choices
-from hrljax.core.numerics import expectation, put_row, stage, take, take_row
+from hrljax.core.flags import Flag
+from hrljax.core.numerics import expectation, put_row, stage, take
 from hrljax.core.random import threshold
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
-from hrljax.learners.base import Moment
+from hrljax.learners.base import Context, Transition
 from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
 from hrljax.learners.roots.backups import backup, sweep
-from hrljax.learners.roots.base import ChildValue, Decision, Root
+from hrljax.learners.roots.base import ChildValue, Decision, Question, SubtaskRoot
 from hrljax.learners.roots.decision_points import DecisionPoints, planning_points
 from hrljax.learners.roots.multi_time_model import updated
 
@@ -28,8 +28,20 @@ class ModelTables(NamedTuple):
     until_end: Array  # [X * K * Y] float32: Q_r of each subtask when the root last decided there, episode starts aside
 
 
+class Memory(NamedTuple):
+    """Where a `ModelRoot` decided."""
+
+    point: Array  # int32: number of the decision point
+    slot: Array  # int32: position of the subtask among those that can be invoked
+    discount: Array  # float32: of the subtask's steps so far
+
+
+Values: TypeAlias = tuple[Array, ...]
+"""Float32 scalars: the value of a decision point, then each of its subtasks' value until it ends."""
+
+
 @dataclass(frozen=True)
-class ModelRoot(Root):
+class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables]):
     """Plans on a learned multi-time model of its subtasks, holding part of the state fixed (thesis 4.1.1).
 
     At every decision the values of the subtasks are backed up from the model and the best is
@@ -49,7 +61,7 @@ class ModelRoot(Root):
     sweeps: int = 5
 
     name = "model"
-    learns = True
+    uses_child_values = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -69,107 +81,116 @@ class ModelRoot(Root):
         values = jnp.full(points.num_points, self._unknown())
         return ModelTables(jnp.zeros(entries, jnp.float32), values, jnp.zeros(points.can_invoke.size, jnp.float32))
 
-    def choose(
-        self,
-        prepared: DecisionPoints,
-        tables: ModelTables,
-        child_value: ChildValue,
-        state: Array,
-        word: Array,
-        epsilon: Any,
-        zero: Array,
-    ) -> tuple[Decision, Any]:
-        points = prepared
-        point = take(jnp.asarray(points.point), state)
-        x, y = point // points.num_y, point % points.num_y
-        tasks, worth, allowed, until_ends = [], [], [], []
-        for slot in range(points.num_slots):
-            pair = x * points.num_slots + slot
-            first = pair * (points.num_outcomes + 1) * points.num_y + y
-            *model, count = (take(tables.model, first + m * points.num_y) for m in range(points.num_outcomes + 1))
-            outcomes = take_row(
-                jnp.asarray(np.maximum(points.outcomes, 0)), pair * points.num_outcomes, points.num_outcomes
-            )
-            after = [take(tables.values, outcomes[m] * points.num_y + y) for m in range(points.num_outcomes)]
-            can_invoke = take(jnp.asarray(points.can_invoke.ravel()), pair * points.num_y + y)
-            tasks.append(take(jnp.asarray(points.tasks), pair))
-            until_ends.append(child_value(tasks[-1], state))
-            worth.append(
-                backup(count > 0, until_ends[-1], expectation(model, after, zero), can_invoke, self._unknown())
-            )
-            allowed.append(can_invoke)
-        best, value = choices.greedy(worth)
-        slot = lax.select(word < threshold(epsilon), choices.nth_allowed(allowed, word), best)
-        return Decision(choices.pick(tasks, slot), point, slot), (value, *until_ends)
+    def begin(self, prepared: DecisionPoints, tables: ModelTables, asked: Question, context: Context) -> Decision:
+        decision, _ = self._decided(prepared, tables, asked, context)
+        return decision
 
-    def probabilities(
-        self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, state: Array, zero: Array
-    ) -> Array:
-        decision, _ = self.choose(prepared, tables, child_value, state, jnp.uint32(0), np.float32(0), zero)
-        return (jnp.arange(prepared.num_tasks, dtype=jnp.int32) == decision.task).astype(jnp.float32)
-
-    def observe(
+    def step(
         self,
         prepared: DecisionPoints,
         tables: ModelTables,
         decision: Decision,
-        after: Array,
-        terminated: Array,
+        transition: Transition,
+        ended: Flag,
         discount: Array,
-        moment: Moment,
-    ) -> ModelTables:
+        asked: Question,
+        context: Context,
+    ) -> tuple[ModelTables, Decision]:
+        before: Memory = decision.memory
+        before = before._replace(discount=before.discount * discount)
+        decision, ended = decision._replace(memory=before), jnp.asarray(ended)
+        tables = context.when(
+            ended | transition.terminated,
+            lambda tables, context: self._observed(prepared, tables, before, transition, context),
+            tables,
+        )
+        decision, values = lax.cond(
+            ended & ~transition.terminated & context.learns,
+            lambda: self._decided(prepared, tables, asked, context),
+            lambda: (decision, self._stored(prepared, tables, before)),
+        )
+        tables = self._recorded(prepared, tables, decision.memory, values)
+        so_far = lax.select(ended, jnp.float32(1), before.discount)
+        return tables, decision._replace(memory=decision.memory._replace(discount=so_far))
+
+    def probabilities(
+        self, prepared: DecisionPoints, tables: ModelTables, child_value: ChildValue, state: Array, context: Context
+    ) -> Array:
+        asked = Question(state, jnp.uint32(0), jnp.float32(0), child_value)
+        task = self.begin(prepared, tables, asked, context).task
+        return (jnp.arange(prepared.num_tasks, dtype=jnp.int32) == task).astype(jnp.float32)
+
+    def plan(self, prepared: DecisionPoints, tables: ModelTables, context: Context) -> ModelTables:
         points = prepared
-        x, y = decision.point // points.num_y, decision.point % points.num_y
-        pair = x * points.num_slots + decision.slot
-        places = [(pair * (points.num_outcomes + 1) + m) * points.num_y + y for m in range(points.num_outcomes + 1)]
-        outcomes = take_row(jnp.asarray(points.outcomes), pair * points.num_outcomes, points.num_outcomes)
-        weight = lax.select(terminated, jnp.float32(0), discount)
-        outcome = take(jnp.asarray(points.planning), after)
-        step_size = jnp.asarray(self.step_size, jnp.float32)
+        model = tables.model.reshape(-1, points.num_outcomes + 1, points.num_y)
+        until_end = tables.until_end.reshape(-1, points.num_y)
+
+        def again(_: Array, values: Array) -> Array:
+            return sweep(points, model, until_end, values, self._unknown(), context.zero)
+
+        values = lax.fori_loop(0, self.sweeps, again, tables.values.reshape(points.num_x, points.num_y)).ravel()
+        if context.vmapped:
+            values = lax.select(jnp.broadcast_to(context.learns, values.shape), values, tables.values)
+        return tables._replace(values=values)
+
+    def _decided(
+        self, points: DecisionPoints, tables: ModelTables, asked: Question, context: Context
+    ) -> tuple[Decision, Values]:
+        """The best subtask by the model, or any, and the values that were computed on the way (eq. 4.1)."""
+        point = take(jnp.asarray(points.point), asked.state)
+        tasks, worth, allowed, until_ends = [], [], [], []
+        for slot in range(points.num_slots):
+            pair = points.pair(point, slot)
+            *model, count = (take(tables.model, entry) for entry in points.entries(pair, point))
+            ends = points.outcomes_of(pair, unused=0)
+            after = [take(tables.values, x * points.num_y + point % points.num_y) for x in ends]
+            can_invoke = take(jnp.asarray(points.can_invoke.ravel()), points.at(pair, point))
+            tasks.append(take(jnp.asarray(points.tasks), pair))
+            until_ends.append(asked.child_value(tasks[-1], asked.state))
+            value = expectation(model, after, context.zero)
+            worth.append(backup(count > 0, until_ends[-1], value, can_invoke, self._unknown()))
+            allowed.append(can_invoke)
+        best, value = choices.greedy(worth)
+        explores = asked.word < threshold(asked.epsilon)
+        slot = lax.select(explores, choices.nth_allowed(allowed, asked.word), best)
+        return Decision(choices.pick(tasks, slot), Memory(point, slot, jnp.float32(1))), (value, *until_ends)
+
+    def _observed(
+        self, points: DecisionPoints, tables: ModelTables, decided: Memory, transition: Transition, context: Context
+    ) -> ModelTables:
+        """The tables after the subtask ended, the episode possibly with it (eq. 4.4)."""
+        pair = points.pair(decided.point, decided.slot)
+        places = points.entries(pair, decided.point)
         new = stage(updated)(
             [take(tables.model, place) for place in places],
-            [outcomes[m] for m in range(points.num_outcomes)],
-            outcome,
-            weight,
-            step_size,
-            moment.live,
-            moment.zero,
+            points.outcomes_of(pair),
+            take(jnp.asarray(points.planning), transition.next_state),
+            lax.select(transition.terminated, jnp.float32(0), decided.discount),
+            jnp.asarray(self.step_size, jnp.float32),
+            context.learns,
+            context.zero,
         )
         model = tables.model
         for place, entry in zip(places, new, strict=True):
             model = put_row(model, place, entry[None])
         return tables._replace(model=model)
 
-    def kept(self, prepared: DecisionPoints, tables: ModelTables, decision: Decision) -> tuple[Array, ...]:
-        until_ends = (take(tables.until_end, place) for place in self._places(prepared, decision))
-        return (take(tables.values, decision.point), *until_ends)
+    def _stored(self, points: DecisionPoints, tables: ModelTables, decided: Memory) -> Values:
+        """What `_recorded` stored where a decision was taken."""
+        until_ends = (take(tables.until_end, place) for place in self._places(points, decided.point))
+        return (take(tables.values, decided.point), *until_ends)
 
-    def record(
-        self, prepared: DecisionPoints, tables: ModelTables, decision: Decision, found: tuple[Array, ...]
-    ) -> ModelTables:
-        value, *until_ends = found
-        kept = tables.until_end
-        for place, until_end in zip(self._places(prepared, decision), until_ends, strict=True):
-            kept = put_row(kept, place, until_end[None])
-        return tables._replace(values=put_row(tables.values, decision.point, value[None]), until_end=kept)
+    def _recorded(self, points: DecisionPoints, tables: ModelTables, decided: Memory, values: Values) -> ModelTables:
+        """The tables with the values that a decision went by."""
+        value, *until_ends = values
+        stored = tables.until_end
+        for place, until_end in zip(self._places(points, decided.point), until_ends, strict=True):
+            stored = put_row(stored, place, until_end[None])
+        return tables._replace(values=put_row(tables.values, decided.point, value[None]), until_end=stored)
 
-    def plan(self, prepared: DecisionPoints, tables: ModelTables, moment: Moment) -> ModelTables:
-        points = prepared
-        model = tables.model.reshape(-1, points.num_outcomes + 1, points.num_y)
-        until_end = tables.until_end.reshape(-1, points.num_y)
-
-        def again(_: Array, values: Array) -> Array:
-            return sweep(points, model, until_end, values, self._unknown(), moment.zero)
-
-        values = lax.fori_loop(0, self.sweeps, again, tables.values.reshape(points.num_x, points.num_y)).ravel()
-        if moment.lockstep:
-            values = lax.select(jnp.broadcast_to(moment.live, values.shape), values, tables.values)
-        return tables._replace(values=values)
-
-    def _places(self, points: DecisionPoints, decision: Decision) -> list[Array]:
-        """Where `until_end` of the decision point's subtasks are kept."""
-        x, y = decision.point // points.num_y, decision.point % points.num_y
-        return [(x * points.num_slots + slot) * points.num_y + y for slot in range(points.num_slots)]
+    def _places(self, points: DecisionPoints, point: Array) -> list[Array]:
+        """Where `until_end` of a decision point's subtasks is stored."""
+        return [points.at(points.pair(point, slot), point) for slot in range(points.num_slots)]
 
     def _unknown(self) -> Array:
         return jnp.asarray(self.unknown_value, jnp.float32)

@@ -17,7 +17,7 @@ def updated(
     outcome: Array,
     weight: Array,
     step_size: Array,
-    live: Array,
+    learns: Array,
     zero: Array,
 ) -> list[Array]:
     """The entries of a subtask that has just ended (eq. 4.4).
@@ -31,10 +31,10 @@ def updated(
         outcome: int32, where the subtask ended.
         weight: float32, discount to the power of its steps; 0 if the episode terminated.
         step_size: float32.
-        live, zero: as in `hrljax.learners.updates.increment`.
+        learns, zero: as in `hrljax.learners.updates.increment`.
     """
     *probabilities, count = entries
     size = lax.max(step_size, 1 / (count + 1))
     targets = [lax.select(reached == outcome, weight, jnp.zeros_like(weight)) for reached in outcomes]
-    new = [increment(old, target, size, live, zero) for old, target in zip(probabilities, targets, strict=True)]
-    return [*new, count + live.astype(jnp.float32)]
+    new = [increment(old, target, size, learns, zero) for old, target in zip(probabilities, targets, strict=True)]
+    return [*new, count + learns.astype(jnp.float32)]

@@ -1,21 +1,22 @@
 """A root that knows nothing."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
+from hrljax.core.flags import Flag
 from hrljax.core.numerics import take
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import TaskTables, tabulate
-from hrljax.learners.roots.base import ChildValue, Decision, Root
+from hrljax.learners.base import Context, Transition
+from hrljax.learners.roots.base import ChildValue, Decision, Question, SubtaskRoot
 
 
 @dataclass(frozen=True)
-class RandomRoot(Root):
+class RandomRoot(SubtaskRoot[TaskTables, tuple[()]]):
     """Chooses uniformly among the subtasks that can be invoked, and learns nothing (thesis Fig. 4.2(b))."""
 
     name = "random"
@@ -23,24 +24,31 @@ class RandomRoot(Root):
     def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> TaskTables:
         return tabulate(hierarchy, env)
 
-    def choose(
+    def init(self, prepared: TaskTables) -> tuple[()]:
+        return ()
+
+    def begin(self, prepared: TaskTables, tables: tuple[()], asked: Question, context: Context) -> Decision:
+        count = take(jnp.asarray(prepared.root_counts), asked.state)
+        slot = (asked.word % count.astype(jnp.uint32)).astype(jnp.int32)
+        width = prepared.root_children.shape[1]
+        return Decision(take(jnp.asarray(prepared.root_children.ravel()), asked.state * width + slot) - 1, ())
+
+    def step(
         self,
         prepared: TaskTables,
-        tables: Any,
-        child_value: ChildValue,
-        state: Array,
-        word: Array,
-        epsilon: Any,
-        zero: Array,
-    ) -> tuple[Decision, Any]:
-        count = take(jnp.asarray(prepared.root_counts), state)
-        slot = (word % count.astype(jnp.uint32)).astype(jnp.int32)
-        width = prepared.root_children.shape[1]
-        task = take(jnp.asarray(prepared.root_children.ravel()), state * width + slot) - 1
-        return Decision(task, jnp.int32(0), slot), ()
+        tables: tuple[()],
+        decision: Decision,
+        transition: Transition,
+        ended: Flag,
+        discount: Array,
+        asked: Question,
+        context: Context,
+    ) -> tuple[tuple[()], Decision]:
+        decides = jnp.asarray(ended) & ~transition.terminated & context.learns
+        return tables, lax.cond(decides, lambda: self.begin(prepared, tables, asked, context), lambda: decision)
 
     def probabilities(
-        self, prepared: TaskTables, tables: Any, child_value: ChildValue, state: Array, zero: Array
+        self, prepared: TaskTables, tables: tuple[()], child_value: ChildValue, state: Array, context: Context
     ) -> Array:
         invocable = np.zeros(prepared.active.shape, np.float32)
         for slot in range(prepared.root_children.shape[1]):

@@ -13,7 +13,7 @@ import hrljax
 from hrljax.core.random import WORD_RANGE
 from hrljax.engine.evaluate import greedy_return
 from hrljax.hierarchy.definition import Hierarchy, Subtask
-from hrljax.learners.base import Experience, LearnerState, Moment
+from hrljax.learners.base import Context, LearnerState, Transition
 from hrljax.learners.options.definition import Options, options_from, primitive_options
 from hrljax.learners.options.learner import OptionQ
 from tests.learners.python_levels import PythonEnv, train_in_python
@@ -154,15 +154,15 @@ def walked(update: Any, values: np.ndarray, steps: int) -> tuple[np.ndarray, Any
     """Tables and control after some greedy steps along the corridor, one reward of -1 each."""
     learner = OptionQ(corridor_options(), update=update, step_size=0.5, epsilon=0.0, discount=0.5)
     prepared = learner.prepare(CORRIDOR)
-    moment = Moment(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
+    context = Context(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
     word = (jnp.uint32(0),)
     tables = jnp.asarray(values, jnp.float32).ravel()
-    state = LearnerState(tables, learner.begin(prepared, tables, jnp.int32(0), word, moment))
+    state = LearnerState(tables, learner.begin(prepared, tables, jnp.int32(0), word, context))
     for cell in range(steps):
         assert int(learner.action(state.control)) == EAST
         over = jnp.bool_(cell == 3)
-        step = Experience(jnp.int32(cell), jnp.int32(EAST), jnp.float32(-1), jnp.int32(cell + 1), over)
-        state = learner.learn(prepared, state, step, word, moment)
+        step = Transition(jnp.int32(cell), jnp.int32(EAST), jnp.float32(-1), jnp.int32(cell + 1), over)
+        state = learner.learn(prepared, state, step, word, context)
     return np.asarray(state.tables).reshape(5, 6), state.control
 
 

@@ -14,7 +14,7 @@ import hrljax as hrl
 from hrljax.core.random import WORD_RANGE
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, NUM_SYMBOLS, object_cells, objects
-from hrljax.learners.base import Experience, Moment
+from hrljax.learners.base import Context, Transition
 from hrljax.learners.relational.learner import RelationalHORDQ
 
 ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")  # monsters from the first screen on
@@ -28,7 +28,7 @@ class Recorded(NamedTuple):
     """A walk: what a learner is given, step by step."""
 
     first: Any
-    steps: list[Experience]
+    steps: list[Transition]
     words: np.ndarray  # [steps + 1] uint32
 
 
@@ -42,13 +42,13 @@ def walk() -> Recorded:
     while not steps or not (steps[-1].terminated or len(steps) == 80):
         action = jnp.int32(generator.choice([4, 5, 7, 8, 0]))
         _, after, reward, terminated, _, _ = step(state, action)
-        steps.append(Experience(state, action, reward, after, terminated))
+        steps.append(Transition(state, action, reward, after, terminated))
         state = after
     return Recorded(first, steps, generator.integers(WORD_RANGE, size=len(steps) + 1).astype(np.uint32))
 
 
-def moment() -> Moment:
-    return Moment(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
+def moment() -> Context:
+    return Context(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
 
 
 def replayed(learner: RelationalHORDQ, walk: Recorded) -> tuple[Any, list[Any]]:
@@ -88,7 +88,7 @@ class PythonSARSA:
         explores = word < np.ceil(float(F(self.learner.epsilon)) * WORD_RANGE)
         return int(word) % ACTIONS if explores else int(np.argmax(self.values(concepts)))
 
-    def learn(self, step: Experience, word: int) -> int:
+    def learn(self, step: Transition, word: int) -> int:
         before, after = self.concepts(step.state), self.concepts(step.next_state)
         action = self.choose(after, word)
         follows = F(0) if step.terminated else self.values(after)[action]
@@ -122,7 +122,7 @@ def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
     prepared = learner.prepare(ENV)
 
     @jax.jit
-    def learn(state: Any, step: Experience, live: Any) -> Any:
+    def learn(state: Any, step: Transition, live: Any) -> Any:
         now = moment()._replace(live=live)
         return learner.learn(prepared, state, step, (jnp.uint32(3),), now)
 
@@ -178,7 +178,7 @@ def test_pessimism_takes_off_what_was_not_met(walk: Recorded):
         ahead, start = of.planned(ENV, tables.root, episode)
         return np.array([float(ahead(start, jnp.int32(action))[1]) for action in range(ACTIONS)])
 
-    def rounded(step: Experience) -> bytes:
+    def rounded(step: Transition) -> bytes:
         inputs = np.asarray(model.inputs(ENV.course, step.state.world))
         return np.append(inputs[:-2], np.round(inputs[-2:] * 32)).tobytes()
 
