@@ -28,6 +28,7 @@ from hrljax.engine import batch
 from hrljax.envs.base import concrete_params
 from hrljax.envs.outcomes import outcome_table
 from hrljax.experiments import program
+from hrljax.hierarchy.layout import stack_layout
 from hrljax.hierarchy.tables import tabulate
 from hrljax.learners.roots.decision_points import planning_points
 
@@ -94,13 +95,14 @@ def by_numba(case: str, cores: int, episodes: int, looked_up: bool = False) -> C
     `looked_up` lets it find its steps in the table of outcomes that hrljax makes (Q-learning only).
     """
     tasks, points = tabulate(HIERARCHY, ENV), planning_points(HIERARCHY, ENV)
+    layout = stack_layout(HIERARCHY, ENV, root_learns=False)
     moves, start = ENV._moves, ENV.layout.start
     root = LEARNERS[case].root if case != "Q-learning" else ROOT
     shape = (points.num_x, points.num_slots, points.num_outcomes)
     arguments = (
         np.float32(-25), 5.0, "model" in case, root.interval if "model" in case else 1,
         root.sweeps if "model" in case else 0, np.float32(-30), moves, start,
-        (tasks.active_bits >> 1).astype(np.int32), tasks.goal[1:], tasks.root_children, tasks.root_counts,
+        layout.active_bits.astype(np.int32), layout.goal, tasks.root_children, tasks.root_counts,
         points.point, points.planning, points.tasks, points.can_invoke, points.outcomes.reshape(shape),
     )  # fmt: skip
     q_learning = numba_bus.q_learning_looked_up if looked_up else numba_bus.q_learning

@@ -9,7 +9,8 @@ from hrljax.engine import compiler as _xla
 _xla.request_native_loops()
 
 from hrljax import solvers  # noqa: E402
-from hrljax.engine.train import Run, train  # noqa: E402
+from hrljax.engine.run import Run  # noqa: E402
+from hrljax.engine.train import train  # noqa: E402
 from hrljax.envs.base import Environment, TabularEnvironment  # noqa: E402
 from hrljax.envs.check import check  # noqa: E402
 from hrljax.envs.registry import make, register, registered  # noqa: E402

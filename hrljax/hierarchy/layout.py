@@ -99,11 +99,11 @@ class StackLayout:
 
     def is_active(self, task: Array, state: Array) -> Array:
         """Whether a subtask (int32, not negative) is not terminated in a state."""
-        bits = take(jnp.asarray(self._active_bits), state)
+        bits = take(jnp.asarray(self.active_bits), state)
         return ((bits >> task.astype(jnp.uint32)) & np.uint32(1)) == 1
 
     @cached_property
-    def _active_bits(self) -> np.ndarray:
+    def active_bits(self) -> np.ndarray:
         """``[S]`` uint32: bit i is set where subtask i is active."""
         bits = self.active.astype(np.uint32) << np.arange(self.num_tasks, dtype=np.uint32)[:, None]
         return bits.sum(0, dtype=np.uint32)

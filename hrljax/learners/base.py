@@ -77,6 +77,13 @@ class LearnerState(NamedTuple):
     control: Any  # what it is doing; a few scalars
 
 
+class Reported(NamedTuple):
+    """What `learn` returns where a learner reports of every step."""
+
+    state: LearnerState
+    report: tuple[Array, ...]  # float32 scalars, see `Learner.reports`
+
+
 class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
     """A learner, written for one run of one seed: every method is a pure function.
 
@@ -91,6 +98,11 @@ class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
     """Random words that one `learn` uses."""
     num_begin_words: ClassVar[int]
     """Random words that one `begin` uses."""
+
+    @property
+    def reports(self) -> tuple[str, ...]:
+        """Names of what `learn` reports of every step, as `Reported`; their means per step are columns of results."""
+        return ()
 
     @property
     def planning_interval(self) -> int:
@@ -116,7 +128,7 @@ class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
     @abstractmethod
     def learn(
         self, prepared: Prepared, state: LearnerState, transition: Transition, words: Words, context: Context
-    ) -> LearnerState:
+    ) -> LearnerState | Reported:
         """Learns from one step and chooses the next action.
 
         The tables and the control that it returns have the shapes and dtypes of those that it was given.

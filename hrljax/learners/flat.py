@@ -1,6 +1,6 @@
 """Flat tabular learners: one table of action values, one step of lookahead."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from hrljax.core import choices
 from hrljax.core.numerics import take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
-from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
+from hrljax.learners.base import Context, Learner, LearnerState, Reported, Transition, Words
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.updates import Move, moved, td_target
 
@@ -79,7 +79,17 @@ class _OneStep(StepSizeLearner):
     The tables are the action values, the control is the next action.
     """
 
+    report_td_error: bool = field(default=False, kw_only=True)
+
     _on_policy = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_flag("report_td_error")
+
+    @property
+    def reports(self) -> tuple[str, ...]:
+        return ("td_error",) if self.report_td_error else ()
 
     def action_values(self, tables: Array) -> Array:
         return tables
@@ -89,7 +99,7 @@ class _OneStep(StepSizeLearner):
 
     def learn(
         self, prepared: int, state: LearnerState, transition: Transition, words: Words, context: Context
-    ) -> LearnerState:
+    ) -> LearnerState | Reported:
         row = row_of(state.tables, transition.next_state, prepared)
         if self._on_policy:
             action = self.choose(row, words[0], context)
@@ -97,10 +107,13 @@ class _OneStep(StepSizeLearner):
         else:
             action, bootstrap = choices.greedy(row)
         target = self.target(transition.reward, bootstrap, transition.terminated, context)
-        tables = self.moved(state.tables, transition.state * prepared + transition.action, target, context)
+        pair = transition.state * prepared + transition.action
+        report = (jnp.abs(target - take(state.tables, pair)),) if self.report_td_error else ()
+        tables = self.moved(state.tables, pair, target, context)
         if not self._on_policy:
             action = self.choose(row_of(tables, transition.next_state, prepared), words[0], context)
-        return LearnerState(tables, action)
+        learned = LearnerState(tables, action)
+        return Reported(learned, report) if report else learned
 
 
 @dataclass(frozen=True)
@@ -112,6 +125,7 @@ class QLearning(_OneStep):
         epsilon: probability of a uniformly random action, or a schedule of the episode.
         discount: in [0, 1].
         initial_value: of every state and action.
+        report_td_error: whether results have the column ``td_error``, the mean absolute error of a step.
     """
 
     name = "Q-learning"

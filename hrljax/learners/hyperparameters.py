@@ -46,6 +46,10 @@ class Settings:
         """Raises unless a static option is an integer from `least` to `most`."""
         self._set(option, checks.integer(f"{type(self).__name__}: {option}", getattr(self, option), least, most))
 
+    def _check_flag(self, option: str) -> None:
+        """Raises TypeError unless a static option is True or False."""
+        checks.flag(f"{type(self).__name__}: {option}", getattr(self, option))
+
     def _check_choice(self, option: str, allowed: Any) -> None:
         """Raises ValueError unless a static option is one of some values, or of those of a literal type."""
         checks.choice(f"{type(self).__name__}: {option}", getattr(self, option), allowed)

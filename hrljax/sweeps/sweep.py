@@ -22,8 +22,9 @@ from jax.core import Tracer
 from hrljax.core import checks, interrupts, random
 from hrljax.core.progress import ticking
 from hrljax.engine import batch
+from hrljax.engine.run import bin_sizes, default_bin_size, metric_names
 from hrljax.engine.start import Startable, learned_shapes, named_leaves
-from hrljax.engine.train import bin_sizes, check_arguments, default_bin_size, metric_names
+from hrljax.engine.train import check_arguments
 from hrljax.envs.base import concrete_params, numbers_of
 from hrljax.envs.checks import check_before_training
 from hrljax.learners.base import Learner
@@ -286,7 +287,10 @@ def _labels(job: Job, columns: dict[str, list[float]], seeds: int) -> Labels:
     ends = np.cumsum(bin_sizes(job.num_episodes, job.bin_size))
     number = np.dtype(np.float64)
     coordinates = {"episode": ends}
-    variables = {name: Variable(("episode",), (len(ends),), number, describe(name)) for name in metric_names(job.env)}
+    variables = {
+        name: Variable(("episode",), (len(ends),), number, describe(name))
+        for name in metric_names(job.env, job.learner)
+    }
     variables["steps"] = Variable((), (), number, {})
     if job.evaluate_every is not None:
         coordinates["checkpoint"] = ends[job.evaluate_every - 1 :: job.evaluate_every]

@@ -12,6 +12,7 @@ import hrljax
 from hrljax.engine.evaluate import greedy_return
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.hierarchy.tables import tabulate
+from hrljax.learners.base import outside_of_training
 from hrljax.solvers.dynamic_programming import value_iteration
 from hrljax.solvers.model import Model
 from tests.maps import SMALL
@@ -90,9 +91,9 @@ def planned_choice(parts: np.ndarray, prepared: Any, run: hrljax.Run) -> np.ndar
 
 
 def test_the_root_is_taken_to_choose_as_it_does(learned: Learned):
-    root, tables = learned.learner.root, learned.tables.root
+    root, tables, asked = learned.learner.root, learned.tables.root, outside_of_training(ZERO)
     child_value = learned.learner._child_value(learned.prepared.layout, learned.tables.q)
-    found = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, ZERO)))(
+    found = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, asked)))(
         jnp.arange(SMALL.num_states, dtype=jnp.int32)
     )
     decides = learned.choice.any(1)
@@ -107,7 +108,7 @@ def model() -> Model:
 
 def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned, model: Model):
     """By backward induction over (subtask, state) pairs in float64."""
-    actions = learned.q.sum(-1).argmax(-1)
+    actions = learned.parts.sum(-1).argmax(-1)
     rows, tasks = (np.arange(SMALL.num_states), actions), np.arange(len(ACTIVE))[:, None, None]
     value = np.zeros(ACTIVE.shape)
     for _ in range(SHORT.max_steps):

@@ -10,7 +10,7 @@ import optax
 import pytest
 
 import hrljax
-from hrljax.engine.train import bin_sizes, metric_names
+from hrljax.engine.run import bin_sizes, metric_names
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.experiments.backup import PseudoRewardInBackup
 from tests.words import KEY, drawn
@@ -288,7 +288,7 @@ def test_a_run_gives_the_numbers_of_plain_python(name: str, bus: Bus):
     curve = train_in_python(python, python_bus, step_words, drawn(EPISODES, 1 + learner.num_begin_words, 2))
     assert int(run.steps) == curve.steps
     sizes = np.array(bin_sizes(EPISODES, BIN_SIZE))
-    for column, metric in enumerate(metric_names(bus)):
+    for column, metric in enumerate(metric_names(bus, learner)):
         mean = np.asarray(run.metrics[metric], np.float64)
         np.testing.assert_array_equal(np.rint(mean * sizes), curve.sums[:, column], err_msg=metric)
         np.testing.assert_allclose(mean, curve.sums[:, column] / sizes, rtol=2e-7, err_msg=metric)

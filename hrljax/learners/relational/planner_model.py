@@ -29,5 +29,5 @@ class PlannerModel(Protocol[Tables]):
         ...
 
     def planned(self, env: Mario, tables: Tables, episode: Episode) -> tuple[ModelFn, Any]:
-        """A model, ``model(state, action) -> next_state, reward``, and the state to search from at a moment of an episode."""
+        """``model(state, action) -> next_state, reward``, and the state to search from at a moment of an episode."""
         ...

@@ -14,8 +14,10 @@ import hrljax as hrl
 from hrljax.core.random import WORD_RANGE
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, NUM_SYMBOLS, object_cells, objects
-from hrljax.learners.base import Context, Transition
+from hrljax.learners.base import Transition
+from hrljax.learners.relational import search_root
 from hrljax.learners.relational.learner import RelationalHORDQ
+from tests.contexts import learning
 
 ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")  # monsters from the first screen on
 ACTIONS = ENV.num_actions
@@ -47,16 +49,12 @@ def walk() -> Recorded:
     return Recorded(first, steps, generator.integers(WORD_RANGE, size=len(steps) + 1).astype(np.uint32))
 
 
-def moment() -> Context:
-    return Context(jnp.int32(0), jnp.bool_(True), jnp.uint32(0))
-
-
 def replayed(learner: RelationalHORDQ, walk: Recorded) -> tuple[Any, list[Any]]:
     """Tables after the walk, and the control after every step; `learn` looks at the steps' own actions."""
     prepared = learner.prepare(ENV)
     state = learner.init(ENV, prepared)
-    begin = jax.jit(lambda tables, first, word: learner.begin(prepared, tables, first, (word,), moment()))
-    learn = jax.jit(lambda state, step, word: learner.learn(prepared, state, step, (word,), moment()))
+    begin = jax.jit(lambda tables, first, word: learner.begin(prepared, tables, first, (word,), learning()))
+    learn = jax.jit(lambda state, step, word: learner.learn(prepared, state, step, (word,), learning()))
     state = state._replace(control=begin(state.tables, walk.first, walk.words[0]))
     controls = [state.control]
     for step, word in zip(walk.steps, walk.words[1:], strict=True):
@@ -123,7 +121,7 @@ def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
 
     @jax.jit
     def learn(state: Any, step: Transition, live: Any) -> Any:
-        now = moment()._replace(live=live)
+        now = learning()._replace(learns=live)
         return learner.learn(prepared, state, step, (jnp.uint32(3),), now)
 
     state = learner.init(ENV, prepared)
@@ -143,7 +141,26 @@ def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Recorded):
 
 def test_a_huge_pseudo_reward_follows_the_root(walk: Recorded):
     _, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.0, pseudo_reward=1e6), walk)
-    assert all(int(control.action) == int(control.plan.action) for control in controls)
+    assert all(int(control.action) == int(control.decision.task) for control in controls)
+
+
+def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Recorded, monkeypatch: pytest.MonkeyPatch):
+    loops, search = [], search_root.best_first_search
+
+    def noted(*arguments: Any, loop: str, **options: Any) -> Any:
+        loops.append(loop)
+        return search(*arguments, loop=loop, **options)
+
+    monkeypatch.setattr(search_root, "best_first_search", noted)
+    root = hrl.SearchRoot(model=hrl.MarioDynamics(), depth=2, max_nodes=18)
+
+    def decisions(vmapped: bool) -> list[Any]:
+        context = learning()._replace(vmapped=vmapped)
+        decide = jax.jit(lambda state: root.begin(ENV, root.init(ENV), state, context))
+        return [decide(step.state) for step in walk.steps[:3]]
+
+    chex.assert_trees_all_equal(decisions(False), decisions(True))
+    assert loops == ["while", "scan"]
 
 
 @pytest.mark.parametrize("more", [{}, {"offsets": True, "below": True}], ids=["thesis", "offsets and below"])

@@ -1,0 +1,275 @@
+"""The training loop of one run, as nested loops: bins, plans, blocks of random words, stretches, steps."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from hrljax.core import contract, random
+from hrljax.core.counting import Count, Total, count, total
+from hrljax.core.numerics import opaque_zero
+from hrljax.engine import counters
+from hrljax.engine.borders import check_given_back, check_learned
+from hrljax.engine.counters import BLOCK
+from hrljax.engine.evaluate import greedy_return
+from hrljax.engine.run import Run, bin_sizes, metric_names
+from hrljax.engine.simulator import simulator
+from hrljax.engine.start import Start
+from hrljax.envs.base import AnyEnvironment, TabularEnvironment
+from hrljax.learners.base import AnyLearner, Context, LearnerState, Transition
+
+_BEGIN_STREAM = 2
+
+
+class _Loop(NamedTuple):
+    """What changes from stretch to stretch."""
+
+    learner: LearnerState
+    state: Any  # the environment's state; its number (int32) if it is tabular
+    time: Array  # int32 steps taken in this episode
+    episode: Array  # int32 episodes finished
+    reward: Array  # float32, over a block of random words
+    events: Array  # [events] float32, over a block of random words
+    reports: tuple[Array, ...]  # float32 each, over a block of random words
+    truncated: Array  # int32 truncated episodes, over the bin
+    is_over: Array  # bool: the episode has just ended
+
+
+class _Progress(NamedTuple):
+    """What changes from block to block of random words."""
+
+    loop: _Loop
+    steps: Count  # of the whole run
+    sums: Total  # [1 + events + reports] reward, events and what the learner reports, over the bin
+
+
+class _Stretch(NamedTuple):
+    """What changes from step to step. A native loop pays for every entry, so there are few."""
+
+    learner: LearnerState
+    state: Any
+    reward: Array
+    reports: tuple[Array, ...]
+    tally: Any  # see `hrljax.engine.counters`
+
+
+def _like(leaf: Array, value: Any) -> Array:
+    """A table that a run starts from; `checked_start` has seen that it has the shape and the dtype of `leaf`."""
+    return jnp.asarray(value, leaf.dtype)
+
+
+def _select(condition: Array, these: Any, those: Any) -> Any:
+    return jax.tree.map(lambda a, b: lax.select(jnp.broadcast_to(condition, a.shape), a, b), these, those)
+
+
+def _zero(loop: _Loop) -> Array:
+    """A zero that no compiler folds, even where the key is a constant: it knows nothing of the state."""
+    if isinstance(loop.state, Array):
+        return opaque_zero(loop.state.astype(jnp.uint32))
+    return opaque_zero(lax.bitcast_convert_type(loop.reward, jnp.uint32))
+
+
+def _small(loop: _Loop) -> tuple[Any, ...]:
+    return (loop.learner.control, *loop[1:])
+
+
+def _with(loop: _Loop, small: tuple[Any, ...]) -> _Loop:
+    return _Loop(LearnerState(loop.learner.tables, small[0]), *small[1:])
+
+
+class Trainer:
+    """The training loop of one run."""
+
+    def __init__(
+        self,
+        env: AnyEnvironment,
+        learner: AnyLearner,
+        key: Array,
+        params: Any,
+        num_episodes: int,
+        vmapped: bool,
+        start: Start | None = None,
+    ):
+        self.env, self.learner, self.params = env, learner, params
+        self.num_episodes, self.vmapped = num_episodes, vmapped
+        self.start, self.first_episode = start, 0 if start is None else start.episodes
+        self.key = random.key_words(key)
+        self.prepared = learner.prepare(env)
+        self.simulator = simulator(env, params, learner.num_words)
+
+    def run(self, bin_size: int, evaluate_every: int | None) -> Run:
+        sizes = bin_sizes(self.num_episodes, bin_size)
+        start = self._start()
+
+        def run_bin(before: _Progress, number: Array) -> tuple[_Progress, tuple[Array, Array, Array]]:
+            end = jnp.minimum((number + 1) * bin_size, self.num_episodes) + self.first_episode
+            now = lax.while_loop(lambda p: p.loop.episode < end, lambda p: self._between_plans(p, end), before)
+            of_bin = (now.sums.rounded(), now.steps.minus(before.steps).as_float(), now.loop.truncated)
+            cleared = now._replace(loop=now.loop._replace(truncated=jnp.int32(0)), sums=self._no_sums())
+            return cleared, of_bin
+
+        def run_stretch(progress: _Progress, numbers: Array) -> tuple[_Progress, Any]:
+            progress, of_bins = lax.scan(run_bin, progress, numbers)
+            return progress, (of_bins, self._evaluate(progress.loop))
+
+        numbers = jnp.arange(len(sizes), dtype=jnp.int32)
+        values = jnp.zeros(0, jnp.float32)
+        if evaluate_every is None:
+            last, of_bins = lax.scan(run_bin, start, numbers)
+        else:
+            whole = len(sizes) // evaluate_every * evaluate_every
+            last, (of_bins, values) = lax.scan(run_stretch, start, numbers[:whole].reshape(-1, evaluate_every))
+            last, rest = lax.scan(run_bin, last, numbers[whole:])
+            of_bins = jax.tree.map(lambda a, b: jnp.concatenate([lax.collapse(a, 0, 2), b]), of_bins, rest)
+        # Opaque, because XLA would multiply by the rounded reciprocal of a constant.
+        episodes = (jnp.asarray(sizes, jnp.int32) + _zero(last.loop).astype(jnp.int32)).astype(jnp.float32)
+        sums, length, truncated = of_bins
+        reward, *others = sums.T
+        events, reports = others[: len(self.env.metrics)], others[len(self.env.metrics) :]
+        per_episode = [reward, length, *events, truncated.astype(jnp.float32)]
+        columns = [*(column / episodes for column in per_episode), *(column / length for column in reports)]
+        metrics = dict(zip(metric_names(self.env, self.learner), columns, strict=True))
+        return Run(last.loop.learner.tables, metrics, values, last.loop.episode, jnp.stack(last.steps))
+
+    def _start(self) -> _Progress:
+        """Before the first step."""
+        state = self.learner.init(self.env, self.prepared)
+        steps = count()
+        if self.start is not None:
+            state = state._replace(tables=jax.tree.map(_like, state.tables, self.start.learned))
+            steps = Count(*self.start.step_words)
+        episode = jnp.int32(self.first_episode)
+        context = Context(episode, jnp.bool_(True), opaque_zero(self.key[0]), self.vmapped)
+        control, first = self._begin(state.tables, episode, context)
+        none = jnp.int32(0)
+        state = state._replace(control=control)
+        loop = _Loop(state, first, none, episode, *self._no_block(), none, jnp.bool_(False))
+        return _Progress(loop, steps, self._no_sums())
+
+    def _no_block(self) -> tuple[Array, Array, tuple[Array, ...]]:
+        """Reward, events and reports of a block before its first step."""
+        events = jnp.zeros(len(self.env.metrics), jnp.float32)
+        return jnp.float32(0), events, (jnp.float32(0),) * len(self.learner.reports)
+
+    def _evaluate(self, loop: _Loop) -> Array:
+        assert isinstance(self.env, TabularEnvironment)  # `check_arguments` has seen to it
+        return greedy_return(self.learner, self.env, self.prepared, loop.learner.tables, self.params, _zero(loop))
+
+    def _no_sums(self) -> Total:
+        """The reward, the events and the reports of a bin before its first step."""
+        return total((1 + len(self.env.metrics) + len(self.learner.reports),))
+
+    def _between_plans(self, progress: _Progress, end: Array) -> _Progress:
+        """Plans if it is time to, and runs episodes until it is time again or `end` is reached."""
+        loop = progress.loop
+        interval = self.learner.planning_interval
+        if interval:
+            context = Context(loop.episode, jnp.bool_(True), _zero(loop), self.vmapped)
+            tables = context.when(
+                loop.episode % interval == 0,
+                self._planned,
+                loop.learner.tables,
+            )
+            loop = loop._replace(learner=loop.learner._replace(tables=tables))
+            end = jnp.minimum(end, (loop.episode // interval + 1) * interval)
+        progress = progress._replace(loop=loop)
+        return lax.while_loop(lambda p: p.loop.episode < end, lambda p: self._block(p, end), progress)
+
+    def _planned(self, tables: Any, context: Context) -> Any:
+        planned = self.learner.plan(self.prepared, tables, context)
+        check_given_back(f"{type(self.learner).__name__}: plan", tables, planned)
+        return planned
+
+    def _block(self, progress: _Progress, end: Array) -> _Progress:
+        """Up to a block of steps, none after `end` episodes."""
+        words, most = self.simulator.block(self.key, progress.steps), progress.steps.room(BLOCK)
+
+        def alone(carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+            """Steps to the end of the episode or of the block."""
+            loop, taken = self._stretch(*carry, most, words, jnp.bool_(True))
+            small = lax.cond(loop.is_over, lambda: _small(self._next_episode(loop)), lambda: _small(loop))
+            return _with(loop, small), taken
+
+        def together(_: Array, carry: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+            """One step, which other runs take at the same time, and then perhaps the next beginning."""
+            live = (carry[0].episode < end) & (carry[1] < most)
+            loop, taken = self._stretch(*carry, most, words, live)
+            small = _select(loop.is_over, _small(self._next_episode(loop)), _small(loop))
+            return _with(loop, _select(live, small, _small(carry[0]))), lax.select(live, taken, carry[1])
+
+        reward, events, reports = self._no_block()
+        start = (progress.loop._replace(reward=reward, events=events, reports=reports), jnp.int32(0))
+        if self.vmapped:
+            loop, taken = lax.fori_loop(0, BLOCK, together, start)
+        else:
+            loop, taken = lax.while_loop(lambda c: (c[1] < most) & (c[0].episode < end), alone, start)
+        amounts = jnp.concatenate([loop.reward[None], loop.events, *(report[None] for report in loop.reports)])
+        sums = progress.sums.plus(amounts)
+        return _Progress(loop, progress.steps.plus(taken.astype(jnp.uint32)), sums)
+
+    def _stretch(self, loop: _Loop, taken: Array, most: Array, words: Any, live: Array) -> tuple[_Loop, Array]:
+        """Steps to the end of the episode or of the block; under vmap one, or none if it does not learn.
+
+        `taken` counts those of the block, of at most `most`.
+        """
+        counter, left = self.simulator.counter, jnp.minimum(most - taken, self.params.max_steps - loop.time)
+        context = Context(loop.episode, live, _zero(loop), self.vmapped)
+        tally = counter.start(taken, left, loop.events)
+        start = _Stretch(loop.learner, loop.state, loop.reward, loop.reports, tally)
+        if self.vmapped:
+            after = self._step(start, words, context)
+        else:
+            after = lax.while_loop(lambda s: counters.goes_on(s.tally), lambda s: self._step(s, words, context), start)
+        now, terminated, events = counter.read(after.tally, loop.events)
+        time = loop.time + now - taken
+        truncated = ~terminated & (time >= self.params.max_steps)
+        loop = loop._replace(
+            learner=after.learner,
+            state=after.state,
+            time=time,
+            reward=after.reward,
+            events=events,
+            reports=after.reports,
+            truncated=loop.truncated + truncated.astype(jnp.int32),
+            is_over=terminated | truncated,
+        )
+        return loop, now
+
+    def _next_episode(self, loop: _Loop) -> _Loop:
+        episode = loop.episode + 1
+        context = Context(episode, jnp.bool_(True), _zero(loop), self.vmapped)
+        control, first = self._begin(loop.learner.tables, episode, context)
+        return loop._replace(
+            learner=loop.learner._replace(control=control),
+            state=first,
+            time=jnp.int32(0),
+            episode=episode,
+            is_over=jnp.bool_(False),
+        )
+
+    def _step(self, now: _Stretch, block: Any, context: Context) -> _Stretch:
+        """One primitive step, or none if not ``context.learns``."""
+        position = counters.position(now.tally)
+        action = self.learner.action(now.learner.control)
+        step = self.simulator.step(now.state, action, block, position)
+        transition = Transition(now.state, action, step.reward, step.next_state, step.terminated)
+        words = self.simulator.learner_words(block, position)
+        learned = self.learner.learn(self.prepared, now.learner, transition, words, context)
+        state, report = check_learned(self.learner, now.learner, learned)
+        reports = tuple(total + new for total, new in zip(now.reports, report, strict=True))
+        tally = counters.add(now.tally, step.change)
+        return _Stretch(state, step.next_state, now.reward + step.reward, reports, tally)
+
+    def _begin(self, tables: Any, episode: Array, context: Context) -> tuple[Any, Array]:
+        """The learner's control and the first state of an episode."""
+        num_first = self.env.num_initial_words
+        words = random.words(
+            self.key, episode.astype(jnp.uint32), num_first + self.learner.num_begin_words, _BEGIN_STREAM
+        )
+        first = contract.initial(self.env, words[:num_first], self.params)
+        if isinstance(self.env, TabularEnvironment):
+            first = contract.encode(self.env, first)
+        # The last episode is followed by a beginning that no one uses; schedules end with the run.
+        context = context._replace(episode=jnp.minimum(episode, self.first_episode + self.num_episodes - 1))
+        return self.learner.begin(self.prepared, tables, first, words[num_first:], context), first
