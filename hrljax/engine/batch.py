@@ -140,10 +140,10 @@ def run_many(
     collected = collected or Collected(num_rows)
 
     def submit(chunk: range) -> Future[Any]:
-        own = jax.tree.map(lambda a: a[chunk.start : chunk.stop], rows)
+        of_chunk = jax.tree.map(lambda a: a[chunk.start : chunk.stop], rows)
         if executor is None:
-            return interrupts.start(run_chunk, run, own, length)
-        return executor.submit(run, own, length)
+            return interrupts.start(run_chunk, run, of_chunk, length)
+        return executor.submit(run, of_chunk, length)
 
     with tqdm(
         total=num_rows,
@@ -177,8 +177,8 @@ class Collected:
     def put(self, chunk: range, part: Any) -> None:
         if self.values is None:
             self.values = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape[1:]), a.dtype), part)
-        for whole, own in zip(jax.tree.leaves(self.values), jax.tree.leaves(part), strict=True):
-            whole[chunk.start : chunk.stop] = own
+        for whole, leaf in zip(jax.tree.leaves(self.values), jax.tree.leaves(part), strict=True):
+            whole[chunk.start : chunk.stop] = leaf
         self.finished[chunk.start : chunk.stop] = True
 
 

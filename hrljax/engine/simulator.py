@@ -102,9 +102,9 @@ class _LookedUp(_Tabular):
     def block(self, key: tuple[Array, Array], start: Count) -> tuple[Array, Array]:
         """``[BLOCK]`` places in the table, and the learner's words, word by word."""
         words = super().block(key, start).columns()
-        own, learners = words[: self.env.num_words], words[self.env.num_words :]
-        place = self._table.place(own) if own else jnp.zeros(BLOCK, jnp.int32)
-        return place, jnp.concatenate(learners) if learners else jnp.zeros(0, jnp.uint32)
+        of_env, of_learner = words[: self.env.num_words], words[self.env.num_words :]
+        place = self._table.place(of_env) if of_env else jnp.zeros(BLOCK, jnp.int32)
+        return place, jnp.concatenate(of_learner) if of_learner else jnp.zeros(0, jnp.uint32)
 
     def learner_words(self, block: tuple[Array, Array], position: Array) -> tuple[Array, ...]:
         count = len(block[1]) // BLOCK

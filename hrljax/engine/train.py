@@ -12,7 +12,7 @@ from hrljax.engine.trainer import Trainer
 from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training, check_declarations
 from hrljax.learners.base import AnyLearner, Learner
-from hrljax.learners.hyperparameters import tabulated
+from hrljax.learners.hyperparameters import with_tabulated_schedules
 
 
 def train(
@@ -73,7 +73,7 @@ def run(
     params = numbers_of(env, params)
     check_before_training(env, params, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
-    learner = tabulated(learner, num_episodes, 0 if begin is None else begin.episodes)
+    learner = with_tabulated_schedules(learner, num_episodes, 0 if begin is None else begin.episodes)
     trainer = Trainer(env, learner, key, params, num_episodes, vmapped, begin)
     return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
 

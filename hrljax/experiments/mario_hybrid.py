@@ -20,7 +20,7 @@ from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.play import Action, Policy, Step, play
 from hrljax.experiments.rows import interval_row
 from hrljax.learners.base import Context
-from hrljax.learners.hyperparameters import tabulated
+from hrljax.learners.hyperparameters import with_tabulated_schedules
 from hrljax.learners.relational.given_model import MarioDynamics
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
 from hrljax.learners.relational.search_root import SearchRoot
@@ -161,7 +161,7 @@ class Agent:
     def __init__(self, env: Mario, learner: RelationalHORDQ, tables: Tables):
         self.env, self.learner, self.tables = env, learner, tables
         prepared = learner.prepare(env)
-        settled = tabulated(learner, 1)
+        settled = with_tabulated_schedules(learner, 1)
 
         def decide(tables: Tables, episode: Episode, word: jax.Array) -> jax.Array:
             moment = Context(jnp.int32(0), jnp.bool_(True), opaque_zero(word))

@@ -123,10 +123,10 @@ class Hierarchy:
 
     def reachable_actions(self, name: str) -> frozenset[str]:
         """Primitive actions that a subtask can execute, itself or through its children."""
-        found: set[str] = set()
+        actions: set[str] = set()
         for child in self[name].children:
-            found |= {child} if self.is_primitive(child) else self.reachable_actions(child)
-        return frozenset(found)
+            actions |= {child} if self.is_primitive(child) else self.reachable_actions(child)
+        return frozenset(actions)
 
     def is_total_leaf_cover(self, cover: Iterable[str] | None = None) -> bool:
         """Whether every subtask of a leaf cover can execute every primitive action (Definition 8).

@@ -87,16 +87,16 @@ def accessible(hierarchy: Hierarchy, active: np.ndarray) -> np.ndarray:
         ValueError: the shape does not fit.
     """
     active = checks.as_array("active", active, np.bool_, (len(hierarchy.subtasks), None), "bools")
-    found = np.zeros((*active.shape, len(hierarchy.actions)), np.bool_)
+    accessible = np.zeros((*active.shape, len(hierarchy.actions)), np.bool_)
     for task in sorted(hierarchy.subtasks, key=lambda task: hierarchy.height(task.name)):
-        own = found[hierarchy.index(task.name)]
+        of_task = accessible[hierarchy.index(task.name)]
         for child in task.children:
             if hierarchy.is_primitive(child):
-                own[:, hierarchy.actions.index(child)] = True
+                of_task[:, hierarchy.actions.index(child)] = True
             else:
-                own |= found[hierarchy.index(child)]
-        own &= active[hierarchy.index(task.name)][:, None]
-    return found
+                of_task |= accessible[hierarchy.index(child)]
+        of_task &= active[hierarchy.index(task.name)][:, None]
+    return accessible
 
 
 def inaccessible(

@@ -59,34 +59,34 @@ class Settings:
 
     def replaced(self, values: Mapping[str, Any]) -> Self:
         """A copy with some fields replaced; ``"root.step_size"`` reaches into a field that has fields."""
-        own: dict[str, Any] = {}
+        changed: dict[str, Any] = {}
         for name, value in values.items():
             head, _, rest = name.partition(".")
-            own[head] = own.get(head, getattr(self, head)).replaced({rest: value}) if rest else value
-        return dataclasses.replace(self, **own)
+            changed[head] = changed.get(head, getattr(self, head)).replaced({rest: value}) if rest else value
+        return dataclasses.replace(self, **changed)
 
     def settings(self) -> dict[str, Any]:
         """Every field by name, nested ones with a dot."""
-        found: dict[str, Any] = {}
+        by_name: dict[str, Any] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Settings):
-                found[field.name] = type(value).__name__
-                found |= {f"{field.name}.{name}": inner for name, inner in value.settings().items()}
+                by_name[field.name] = type(value).__name__
+                by_name |= {f"{field.name}.{name}": inner for name, inner in value.settings().items()}
             else:
-                found[field.name] = value
-        return found
+                by_name[field.name] = value
+        return by_name
 
     def sweepable(self) -> dict[str, float]:
         """The hyper-parameters that are numbers now, by name: those that an axis of a sweep may name."""
-        found: dict[str, float] = {}
+        by_name: dict[str, float] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Settings):
-                found |= {f"{field.name}.{name}": inner for name, inner in value.sweepable().items()}
+                by_name |= {f"{field.name}.{name}": inner for name, inner in value.sweepable().items()}
             elif field.metadata.get("sweepable") and not callable(value):
-                found[field.name] = value
-        return found
+                by_name[field.name] = value
+        return by_name
 
 
 def _checked(owner: str, field: "dataclasses.Field[Any]", value: Any) -> Any:
@@ -103,7 +103,7 @@ def _checked(owner: str, field: "dataclasses.Field[Any]", value: Any) -> Any:
 S = TypeVar("S", bound="Settings")
 
 
-def tabulated(learner: S, num_episodes: int, first_episode: Any = 0) -> S:
+def with_tabulated_schedules(learner: S, num_episodes: int, first_episode: Any = 0) -> S:
     """The learner with every schedule replaced by the float32 table of its values, one per episode.
 
     Schedules are evaluated once, outside of compiled code, so that every mapping sees the same bits.

@@ -403,7 +403,7 @@ def _check_model(model: ModelFn, state: Any) -> None:
         output = jax.eval_shape(model, given, jax.ShapeDtypeStruct((), jnp.int32))
     if not (isinstance(output, tuple) and len(output) == 2):
         raise TypeError(f"model must return a tuple (next_state, reward), got {output!r}")
-    found = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), output)
+    returned = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), output)
     expected = (given, jax.ShapeDtypeStruct((), jnp.float32))
-    if found != expected:
-        raise TypeError(f"model must return {expected}, of the structure of its state, and got {found}")
+    if returned != expected:
+        raise TypeError(f"model must return {expected}, of the structure of its state, and got {returned}")

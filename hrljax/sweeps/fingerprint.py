@@ -13,7 +13,7 @@ from jax import Array
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import parts_of_states, tabulate
 from hrljax.learners.base import Learner
-from hrljax.learners.hyperparameters import Tabulated, tabulated
+from hrljax.learners.hyperparameters import Tabulated, with_tabulated_schedules
 from hrljax.learners.options.definition import Options
 from hrljax.sweeps import versions
 from hrljax.sweeps.job import ENV_PREFIX
@@ -58,7 +58,7 @@ def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
         ValueError: as `hrljax.learners.hyperparameters.tabulated` and `hrljax.hierarchy.tables.tabulate`.
     """
     found: dict[str, str] = {}
-    for name, value in tabulated(learner, num_episodes).settings().items():
+    for name, value in with_tabulated_schedules(learner, num_episodes).settings().items():
         if isinstance(value, Hierarchy):
             found[f"digest.learner.{name}"] = hierarchy_digest(env, value)
         elif isinstance(value, Options):

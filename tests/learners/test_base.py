@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hrljax
-from hrljax.learners.hyperparameters import Tabulated, tabulated
+from hrljax.learners.hyperparameters import Tabulated, with_tabulated_schedules
 
 
 @pytest.mark.parametrize("value", [np.float32(0.25), np.array(0.25), jnp.float32(0.25), np.float16(0.25)], ids=repr)
@@ -26,7 +26,7 @@ def test_numpys_integers_become_plain():
     "schedule", [lambda e: 0.5, lambda e: 1, lambda e: jnp.where(e < 0, 1.0, 0.5), lambda e: np.float64(0.5)]
 )
 def test_a_schedule_may_return_any_number(schedule: Any):
-    table = tabulated(hrljax.QLearning(step_size=schedule), 3).step_size  # type: ignore[attr-defined]
+    table = with_tabulated_schedules(hrljax.QLearning(step_size=schedule), 3).step_size  # type: ignore[attr-defined]
     assert isinstance(table, Tabulated)
     assert table.values.dtype == np.float32
     assert table.values.tolist() == [float(schedule(jnp.int32(0)))] * 3
@@ -51,7 +51,7 @@ def test_a_schedule_may_return_any_number(schedule: Any):
 )
 def test_what_is_no_schedule_is_refused_with_what_to_write(schedule: Any, message: str):
     with pytest.raises(TypeError, match=message) as refused:
-        tabulated(hrljax.QLearning(step_size=schedule), 3)
+        with_tabulated_schedules(hrljax.QLearning(step_size=schedule), 3)
     assert "Tracer" not in str(refused.value)
 
 
@@ -68,4 +68,4 @@ def test_what_is_no_schedule_is_refused_with_what_to_write(schedule: Any, messag
 )
 def test_a_schedule_stays_in_its_interval(schedule: Any, message: str):
     with pytest.raises(ValueError, match=message):
-        tabulated(hrljax.QLearning(step_size=schedule), 3)
+        with_tabulated_schedules(hrljax.QLearning(step_size=schedule), 3)

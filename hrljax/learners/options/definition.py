@@ -124,12 +124,12 @@ class Options:
 
         The policy is -1 where an option can neither begin nor go on.
         """
-        own = np.where(self.initiation | ~self.termination, self.policy, np.int32(-1))
+        of_options = np.where(self.initiation | ~self.termination, self.policy, np.int32(-1))
         actions = np.arange(self.num_primitives, dtype=np.int32)
         shape = (self.num_primitives, self.num_states)
         everywhere = np.ones(shape, np.bool_)
         return (
-            np.concatenate([np.broadcast_to(actions[:, None], shape), own]),
+            np.concatenate([np.broadcast_to(actions[:, None], shape), of_options]),
             np.concatenate([everywhere, self.termination]),
             np.concatenate([everywhere, self.initiation]),
         )
