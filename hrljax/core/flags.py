@@ -6,6 +6,7 @@ Where a condition is a Python constant, nothing of it is left in the compiled pr
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax import Array, lax
 
 Flag = Array | bool
@@ -24,10 +25,10 @@ def either(a: Flag, b: Flag) -> Flag:
 
 
 def choose(condition: Flag, these: Any, those: Any) -> Any:
-    """`these` where a flag holds, else `those`; trees of scalars."""
+    """`these` where a flag holds, else `those`; pytrees of arrays."""
     if isinstance(condition, bool):
         return these if condition else those
-    return jax.tree.map(lambda a, b: lax.select(condition, a, b), these, those)
+    return jax.tree.map(lambda a, b: lax.select(jnp.broadcast_to(condition, jnp.shape(a)), a, b), these, those)
 
 
 def opposite(flag: Flag) -> Flag:

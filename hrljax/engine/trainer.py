@@ -8,6 +8,7 @@ from jax import Array, lax
 
 from hrljax.core import contract, random
 from hrljax.core.counting import Count, Total, count, total
+from hrljax.core.flags import choose
 from hrljax.core.numerics import opaque_zero
 from hrljax.engine import counters
 from hrljax.engine.borders import check_given_back, check_learned
@@ -57,10 +58,6 @@ class _Stretch(NamedTuple):
 def _like(leaf: Array, value: Any) -> Array:
     """A table that a run starts from; `checked_start` has seen that it has the shape and the dtype of `leaf`."""
     return jnp.asarray(value, leaf.dtype)
-
-
-def _select(condition: Array, these: Any, those: Any) -> Any:
-    return jax.tree.map(lambda a, b: lax.select(jnp.broadcast_to(condition, a.shape), a, b), these, those)
 
 
 def _zero(loop: _Loop) -> Array:
@@ -195,8 +192,8 @@ class Trainer:
             """One step, which other runs take at the same time, and then perhaps the next beginning."""
             live = (carry[0].episode < end) & (carry[1] < most)
             loop, taken = self._stretch(*carry, most, words, live)
-            small = _select(loop.is_over, _small(self._next_episode(loop)), _small(loop))
-            return _with(loop, _select(live, small, _small(carry[0]))), lax.select(live, taken, carry[1])
+            small = choose(loop.is_over, _small(self._next_episode(loop)), _small(loop))
+            return _with(loop, choose(live, small, _small(carry[0]))), lax.select(live, taken, carry[1])
 
         reward, events, reports = self._no_block()
         start = (progress.loop._replace(reward=reward, events=events, reports=reports), jnp.int32(0))

@@ -8,8 +8,9 @@ from jax import Array
 from hrljax.core.flags import choose
 from hrljax.hierarchy.layout import StackLayout
 from hrljax.learners.base import Context, Transition
-from hrljax.learners.execution import LevelEnd, StackLearner, StackState, readable
+from hrljax.learners.execution import StackLearner
 from hrljax.learners.hyperparameters import at_episode
+from hrljax.learners.stack import LevelEnd, StackState, readable
 from hrljax.learners.updates import Move, td_target
 
 

@@ -15,8 +15,9 @@ from jax import Array, lax
 from hrljax.core.flags import both
 from hrljax.hierarchy.layout import StackLayout
 from hrljax.learners.base import Context, Discounted, Transition
-from hrljax.learners.execution import LevelEnd, StackLearner, StackState, readable
+from hrljax.learners.execution import StackLearner
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.stack import LevelEnd, StackState, readable
 from hrljax.learners.updates import Move
 
 Bootstrap = Literal["greedy", "on_policy"]

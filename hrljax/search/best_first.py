@@ -4,15 +4,10 @@ From the current state the search expands, again and again, the open node with t
 predicted reward: the model is asked for all its children. It ends when it has counted enough
 nodes, when a sequence of actions promises enough reward, or when nothing is left to expand.
 
-Storage is allocated up front. The children of one expansion lie side by side, a *block*, and the
-frontier has two levels: the rank of every open node, and the best rank of every block. Ranks are
-integers that order as the priorities do, because maxima of integers are vectorised on a CPU.
+Storage is allocated up front; `hrljax.search.frontier` has it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +15,25 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks
-from hrljax.core.numerics import exact_product, opaque_zero, put_row, take, take_row
+from hrljax.core.numerics import take
 from hrljax.core.tracing_errors import explain_tracing
-
-ModelFn = Callable[[Any, Array], tuple[Any, Array]]
-Count = Literal["generated", "expanded"]
-Priority = Literal["cumulative", "last_reward"]
-Answer = Literal["any", "leaf"]
-Loop = Literal["while", "scan"]
-
-_CLOSED = np.int32(np.iinfo(np.int32).min)
-"""The rank of what cannot be chosen; below that of every number."""
+from hrljax.search.frontier import (
+    CLOSED,
+    Answer,
+    Count,
+    Loop,
+    ModelFn,
+    Priority,
+    Problem,
+    Search,
+    expand,
+    first_max,
+    goes_on,
+    rank_of,
+    start,
+    turn,
+    write,
+)
 
 
 class Tree(NamedTuple):
@@ -58,51 +61,6 @@ class SearchResult(NamedTuple):
     value: Array  # float32: value of the best node
     node: Array  # int32: the best node
     tree: Tree
-
-
-class _Search(NamedTuple):
-    """A search under way: E blocks of A children; block 0 of what is counted from 0 to E is the root's."""
-
-    state: Any  # pytree of [1 + E * A, ...]
-    value: Array  # [1 + E * A] float32
-    reward: Array  # [1 + E * A] float32
-    ranks: Array  # [(E + 1) * A] int32: of every node, `_CLOSED` unless it is open
-    best_ranks: Array  # [E + 1] int32: the greatest of every block
-    parent: Array  # [E] int32: the node whose children a block holds
-    depth: Array  # [E + 1] int32: of the nodes of a block
-    weight: Array  # [E + 1] float32: discount ** depth of the nodes of a block
-    num_expanded: Array  # int32
-    best: Array  # int32: the best node so far
-    best_rank: Array  # int32: the rank of its value
-
-
-class _Expansion(NamedTuple):
-    """What one expansion writes."""
-
-    from_block: Array  # int32: where the expanded node lies
-    ranks_left: Array  # [A] int32: the ranks of that block without it
-    parent: Array  # int32: the expanded node
-    depth: Array  # int32: of its children
-    weight: Array  # float32: of its children
-    state: Any  # pytree of [A, ...]
-    value: Array  # [A] float32
-    reward: Array  # [A] float32
-    ranks: Array  # [A] int32
-    best: Array  # int32
-    best_rank: Array  # int32
-    num_expanded: Array  # int32
-
-
-@dataclass(frozen=True)
-class _Problem:
-    model: ModelFn
-    num_actions: int
-    max_depth: int
-    max_expansions: int
-    priority: Priority
-    answer: Answer
-    stop_rank: Array
-    discount: Array | None  # None: 1
 
 
 def best_first_search(
@@ -151,172 +109,32 @@ def best_first_search(
     _check_options(num_actions, depth, max_nodes, count, priority, answer, loop)
     discount = checks.number("discount", discount, checks.SHARE, may_be_traced=True)
     stop_reward = checks.number("stop_reward", stop_reward, checks.Interval(-np.inf, np.inf), may_be_traced=True)
-    problem = _Problem(
+    problem = Problem(
         model,
         num_actions,
         depth,
         max_expansions=max_nodes if count == "expanded" else -(-max_nodes // num_actions),
         priority=priority,
         answer=answer,
-        stop_rank=_rank(_single(stop_reward)),
+        stop_rank=rank_of(_single(stop_reward)),
         discount=None if isinstance(discount, int | float) and discount == 1 else _single(discount),
     )
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf).astype(jnp.asarray(leaf).dtype), state)
     _check_model(model, state)
 
-    search = _start(problem, state)
+    search = start(problem, state)
     if loop == "while":
         search = lax.while_loop(
-            lambda search: _goes_on(problem, search),
-            lambda search: _write(problem, search, _expand(problem, search)),
+            lambda search: goes_on(problem, search),
+            lambda search: write(problem, search, expand(problem, search)),
             search,
         )
     else:
-        search, _ = lax.scan(lambda search, _: (_turn(problem, search), None), search, None, problem.max_expansions)
+        search, _ = lax.scan(lambda search, _: (turn(problem, search), None), search, None, problem.max_expansions)
     return _result(problem, search)
 
 
-def _start(problem: _Problem, state: Any) -> _Search:
-    """Only the root, open, in the last place of its block: node i has place i + A - 1."""
-    blocks, width = problem.max_expansions, problem.num_actions
-    nodes = 1 + blocks * width
-    return _Search(
-        state=jax.tree.map(lambda leaf: jnp.zeros((nodes, *leaf.shape), leaf.dtype).at[0].set(leaf), state),
-        value=jnp.full(nodes, -jnp.inf, jnp.float32).at[0].set(0),
-        reward=jnp.zeros(nodes, jnp.float32),
-        ranks=jnp.full((blocks + 1) * width, _CLOSED).at[width - 1].set(_rank(jnp.float32(0))),
-        best_ranks=jnp.full(blocks + 1, _CLOSED).at[0].set(_rank(jnp.float32(0))),
-        parent=jnp.full(blocks, -1, jnp.int32),
-        depth=jnp.zeros(blocks + 1, jnp.int32),
-        weight=jnp.ones(blocks + 1, jnp.float32),
-        num_expanded=jnp.int32(0),
-        best=jnp.int32(1),
-        best_rank=jnp.asarray(_CLOSED),
-    )
-
-
-def _goes_on(problem: _Problem, search: _Search) -> Array:
-    """Whether another node is to be expanded."""
-    may_expand = search.num_expanded < problem.max_expansions
-    return may_expand & (search.best_rank <= problem.stop_rank) & (jnp.max(search.best_ranks) > _CLOSED)
-
-
-def _turn(problem: _Problem, search: _Search) -> _Search:
-    """An expansion, or nothing if the search is over.
-
-    A `lax.cond` would copy everything that the model closes over, once for every element of a `vmap`.
-    """
-    goes_on = _goes_on(problem, search)
-    new = jax.tree.map(partial(jnp.where, goes_on), _expand(problem, search), _nothing_to_write(problem, search))
-    return _write(problem, search, new)
-
-
-def _expand(problem: _Problem, search: _Search) -> _Expansion:
-    """Takes the best open node off the frontier and generates its children."""
-    width = problem.num_actions
-    block, _ = _first_max(search.best_ranks)
-    ranks = take_row(search.ranks, block * width, width)
-    place, _ = _first_max(ranks)
-    node = block * width + place - (width - 1)
-    depth = take(search.depth, block) + 1
-    weight = take(search.weight, block)
-
-    parent_state = jax.tree.map(lambda rows: _row(rows, node), search.state)
-    states, rewards = _children(problem, parent_state)
-    values = take(search.value, node) + _discounted(problem, weight, rewards, search.num_expanded)
-    first, value_rank = _first_max(_rank(values))
-    is_better = value_rank > search.best_rank
-    order = _rank(values if problem.priority == "cumulative" else rewards)
-    return _Expansion(
-        from_block=block,
-        ranks_left=lax.select(np.arange(width, dtype=np.int32) == place, jnp.full(width, _CLOSED), ranks),
-        parent=node,
-        depth=depth,
-        weight=weight if problem.discount is None else weight * problem.discount,
-        state=states,
-        value=values,
-        reward=rewards,
-        ranks=jnp.where((depth < problem.max_depth) & (_rank(values) > _CLOSED), order, _CLOSED),
-        best=lax.select(is_better, 1 + search.num_expanded * width + first, search.best),
-        best_rank=lax.max(value_rank, search.best_rank),
-        num_expanded=search.num_expanded + 1,
-    )
-
-
-def _nothing_to_write(problem: _Problem, search: _Search) -> _Expansion:
-    """What leaves a search as it is: the next block is written as it was allocated."""
-    width = problem.num_actions
-    return _Expansion(
-        from_block=jnp.int32(0),
-        ranks_left=search.ranks[:width],
-        parent=jnp.int32(-1),
-        depth=jnp.int32(0),
-        weight=jnp.float32(1),
-        state=jax.tree.map(lambda rows: jnp.zeros((width, *rows.shape[1:]), rows.dtype), search.state),
-        value=jnp.full(width, -jnp.inf, jnp.float32),
-        reward=jnp.zeros(width, jnp.float32),
-        ranks=jnp.full(width, _CLOSED),
-        best=search.best,
-        best_rank=search.best_rank,
-        num_expanded=search.num_expanded,
-    )
-
-
-def _write(problem: _Problem, search: _Search, new: _Expansion) -> _Search:
-    """Puts an expansion into the next block."""
-    width, block = problem.num_actions, search.num_expanded
-    first_node = 1 + block * width
-    ranks = put_row(search.ranks, new.from_block * width, new.ranks_left)
-    best_ranks = put_row(search.best_ranks, new.from_block, jnp.max(new.ranks_left)[None])
-    return _Search(
-        state=jax.tree.map(lambda old, rows: _put_rows(old, first_node, rows), search.state, new.state),
-        value=put_row(search.value, first_node, new.value),
-        reward=put_row(search.reward, first_node, new.reward),
-        ranks=put_row(ranks, (block + 1) * width, new.ranks),
-        best_ranks=put_row(best_ranks, block + 1, jnp.max(new.ranks)[None]),
-        parent=put_row(search.parent, block, new.parent[None]),
-        depth=put_row(search.depth, block + 1, new.depth[None]),
-        weight=put_row(search.weight, block + 1, new.weight[None]),
-        num_expanded=new.num_expanded,
-        best=new.best,
-        best_rank=new.best_rank,
-    )
-
-
-def _children(problem: _Problem, state: Any) -> tuple[Any, Array]:
-    """States and rewards of all actions: a small loop, which compiles once whatever the model is."""
-    return lax.map(lambda action: problem.model(state, action), jnp.arange(problem.num_actions, dtype=jnp.int32))
-
-
-def _discounted(problem: _Problem, weight: Array, rewards: Array, word: Array) -> Array:
-    if problem.discount is None:
-        return rewards
-    return exact_product(weight, rewards, opaque_zero(lax.bitcast_convert_type(rewards, jnp.uint32)))
-
-
-def _rank(number: Array) -> Array:
-    """An int32 that orders as float32 numbers do; nan and -inf are closed, -0 equals 0."""
-    bits = lax.bitcast_convert_type(jnp.where(number == 0, np.float32(0), number), jnp.int32)
-    ordered = bits ^ ((bits >> np.int32(31)) & np.int32(0x7FFFFFFF))
-    return jnp.where(number > -np.inf, ordered, _CLOSED)
-
-
-def _first_max(ranks: Array) -> tuple[Array, Array]:
-    """Index and value of the greatest rank, the first of equals."""
-    greatest, length = jnp.max(ranks), len(ranks)
-    places = jnp.where(ranks == greatest, np.arange(length, dtype=np.int32), np.int32(length))
-    return jnp.min(places), greatest
-
-
-def _row(rows: Array, index: Array) -> Array:
-    return lax.dynamic_index_in_dim(rows, index.astype(jnp.uint32), keepdims=False)
-
-
-def _put_rows(rows: Array, start: Array, new: Array) -> Array:
-    return lax.dynamic_update_slice_in_dim(rows, new, start.astype(jnp.uint32), 0)
-
-
-def _result(problem: _Problem, search: _Search) -> SearchResult:
+def _result(problem: Problem, search: Search) -> SearchResult:
     tree = _tree(problem, search)
     best = search.best if problem.answer == "any" else _best_leaf(tree, search.best)
     actions = _actions_to(problem, search, best)
@@ -328,11 +146,11 @@ def _best_leaf(tree: Tree, otherwise: Array) -> Array:
     """The first of the nodes of greatest value that were not expanded."""
     numbers = np.arange(len(tree.value), dtype=np.int32)
     is_leaf = (tree.expansion < 0) & (numbers > 0) & (numbers < tree.num_nodes)
-    node, rank = _first_max(jnp.where(is_leaf, _rank(tree.value), _CLOSED))
-    return lax.select(rank > _CLOSED, node, otherwise)
+    node, rank = first_max(jnp.where(is_leaf, rank_of(tree.value), CLOSED))
+    return lax.select(rank > CLOSED, node, otherwise)
 
 
-def _tree(problem: _Problem, search: _Search) -> Tree:
+def _tree(problem: Problem, search: Search) -> Tree:
     """The entries of every node, from those of its block."""
     width, blocks = problem.num_actions, problem.max_expansions
     is_expanded = np.arange(blocks, dtype=np.int32) < search.num_expanded
@@ -359,7 +177,7 @@ def _tree(problem: _Problem, search: _Search) -> Tree:
     )
 
 
-def _actions_to(problem: _Problem, search: _Search, node: Array) -> Array:
+def _actions_to(problem: Problem, search: Search, node: Array) -> Array:
     """The actions from the root to a node, filled up with -1."""
     width = problem.num_actions
     places = np.arange(problem.max_depth, dtype=np.int32)
