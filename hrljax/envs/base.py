@@ -208,7 +208,7 @@ class TabularEnvironment(Environment[State, Params]):
         With cuts c1, c2, ... in (0, 1), two words on the same side of every cut (as fractions of
         their range) must give the same outcome in every state. Cuts of 0 or 1 and repeated cuts
         are allowed. The exact model rests on it, and so does training: with few kinds of words its
-        steps are looked up. Both check the ends of every kind.
+        steps are looked up. Both check the first and the last word of every kind.
         """
 
     @abstractmethod

@@ -92,7 +92,7 @@ def _types(values: Any) -> Any:
 
 
 def _check_same(env: AnyEnvironment, name: str, expected: Any, method: Any, *arguments: Any) -> None:
-    """Raises unless a method leads, twice and uncompiled, to what it led to compiled."""
+    """Raises unless a method, called twice without compilation, returns what it returned compiled (`expected`)."""
     for _ in range(2):
         one, other = (jax.tree_util.tree_flatten_with_path(values)[0] for values in (expected, method(*arguments)))
         for (path, value), (_, repeated) in zip(one, other, strict=True):
@@ -115,7 +115,7 @@ def _check_observation(env: AnyEnvironment, observation: Any) -> None:
         fits = space.contains(element)
     except (TypeError, ValueError, KeyError, AttributeError):
         element, fits = np.nan, False
-    # Of a number or an array, so that nothing is lost where its type is changed to the space's.
+    # The space's type must lose nothing of a number or an array; what a Dict or a Tuple holds is not compared.
     is_exact = isinstance(space, gymnasium.spaces.Dict | gymnasium.spaces.Tuple) or np.array_equal(element, observation)
     if not (fits and is_exact):
         raise ValueError(f"{env.name}: observation must return an element of {space}, got {observation}")

@@ -26,13 +26,13 @@ def check_before_training(
 ) -> None:
     """Raises for an environment of a user's own that cannot be trained in, or only with senseless results.
 
-    The library's own environments are checked by its tests, for some take long to trace.
+    Environments of the library are skipped: its tests check them, and some take long to trace.
 
     Args:
         env: the environment.
-        params: its numbers, as from `concrete_params`; what is traced is not known.
+        params: its numbers, as from `concrete_params`; traced ones have no value to look at.
         swept: values by the names of numbers that differ from run to run.
-        sample: whether to act at random where outcomes are too many to look at each.
+        sample: whether to try random episodes where outcomes are too many to look at each.
 
     Raises:
         TypeError, ValueError: as `hrljax.check`.
@@ -55,7 +55,7 @@ def check_before_training(
 def check_values(env: Any, points: tuple[Any, ...], sample: bool) -> None:
     """Raises for a state, a reward or an event that makes no sense, under any of several `params`.
 
-    Looks at every outcome where they are few, else at what comes of acting at random (if `sample`).
+    Looks at every outcome where they are few, else at random episodes (if `sample`).
     """
     if env.is_tabular:
         if len(points) == 1 and outcome_table(env, points[0]) is not None:
@@ -92,7 +92,7 @@ def check_types(env: Any, params: Any) -> None:
 
     Args:
         env: the environment.
-        params: its numbers; what is traced or a `jax.ShapeDtypeStruct` is not known.
+        params: its numbers; traced ones and `jax.ShapeDtypeStruct`s have a type only.
     """
     unknown = {n: jax.ShapeDtypeStruct(v.shape, v.dtype) for n, v in params._asdict().items() if _is_unknown(v)}
     _check_types(env, params._replace(**unknown))

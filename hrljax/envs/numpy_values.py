@@ -1,4 +1,4 @@
-"""Values of the environments as Gymnasium wants them: NumPy's and Python's, in new memory."""
+"""Values of the environments in the types that Gymnasium expects: Python numbers, and NumPy arrays as copies."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ def as_element(space: spaces.Space[Any], value: Any) -> Any:
 
 
 def as_python(value: np.ndarray) -> Any:
-    """A scalar as Python's, an array as a copy."""
+    """A scalar as a Python number, an array as a copy."""
     return value.item() if np.ndim(value) == 0 else np.array(value)
 
 

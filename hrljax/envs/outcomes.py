@@ -1,4 +1,4 @@
-"""Everything that may come of an action, by running an environment on one random word of every kind."""
+"""All outcomes of every action, computed by running an environment on one random word of every kind."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -17,15 +17,15 @@ from hrljax.envs.once import once_per_environment
 from hrljax.envs.word_kinds import WordKinds
 
 _MOST_CUTS = 64
-"""More comparisons of random words than these cost what the table saves."""
+"""With more cuts, comparing random words with them costs more than the table saves."""
 _MOST_ENTRIES = 1 << 20
 """A larger table does not stay in a core's cache, and takes long to make."""
 _RANDOM_BEGINNINGS = 1 << 14
-"""Beginnings that are looked at where their kinds are more than `_MOST_ENTRIES`."""
+"""Random first states that are looked at where the kinds of initial words are more than `_MOST_ENTRIES`."""
 
 
 class Enumerated(NamedTuple):
-    """Everything that may come of an environment."""
+    """All outcomes of an environment."""
 
     kinds: WordKinds
     outcomes: Outcomes
@@ -33,15 +33,15 @@ class Enumerated(NamedTuple):
 
 
 def enumerate_outcomes(env: Any, params: Any) -> Enumerated:
-    """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`.
+    """All outcomes of a tabular environment's `transition`; `params` as from `concrete_params`.
 
-    The last ones are kept, if they are few: a table of steps and an exact model are made of the same.
+    If they are few they are cached, because both the table of steps and the exact model are made of them.
 
     Raises:
         ValueError: an outcome of a state that occurs makes no sense, see `check_outcomes`, or two words
             of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
     """
-    return (_kept_outcomes if few_outcomes(env, params) else _enumerate)(env, params)
+    return (_cached_outcomes if few_outcomes(env, params) else _enumerate)(env, params)
 
 
 def _enumerate(env: Any, params: Any) -> Enumerated:
@@ -62,14 +62,14 @@ def _enumerate(env: Any, params: Any) -> Enumerated:
     return Enumerated(kinds, outcomes, occurs)
 
 
-_kept_outcomes = once_per_environment(2)(_enumerate)
+_cached_outcomes = once_per_environment(2)(_enumerate)
 
 
 def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
     """Raises for an outcome that makes no sense under any of several `params`, as `enumerate_outcomes` does.
 
-    Compiles once for all of them. Words that differ within their kind are no error: this is for steps
-    that are computed, not looked up.
+    Compiles once for all of them. Words of one kind may differ in what they lead to: that only matters
+    for steps that are looked up, and this is for steps that are computed.
     """
     kinds = [WordKinds(contract.word_cuts(env, params)) for params in points]
     initial_kinds = [WordKinds(contract.initial_word_cuts(env, params)) for params in points]
@@ -113,7 +113,7 @@ def first_numbers(env: Any, params: Any, kinds: WordKinds) -> np.ndarray:
 
 
 def _some_first_numbers(env: Any, params: Any) -> np.ndarray:
-    """The numbers of all first states; where the kinds of words are too many, of those that random words lead to."""
+    """The numbers of all first states, or of `_RANDOM_BEGINNINGS` random ones if there are too many kinds."""
     kinds = WordKinds(contract.initial_word_cuts(env, params))
     if kinds.count <= _MOST_ENTRIES:
         return first_numbers(env, params, kinds)
@@ -138,7 +138,7 @@ def _pairs(env: Any) -> tuple[Array, Array]:
 
 
 def _renumbered(env: Any) -> np.ndarray:
-    """``[S]`` int32: the number of the state that each number means."""
+    """``[S]`` int32: ``encode(decode(i))`` of every number i."""
     again = jax.jit(jax.vmap(lambda number: contract.encode(env, contract.decode(env, number))))
     with jax.ensure_compile_time_eval():
         return np.asarray(again(_pairs(env)[0]))
@@ -204,7 +204,7 @@ class OutcomeTable:
         self.fits = packed.max() < 1 << 31
         smallest = np.uint16 if packed.max() < 1 << 16 else np.int32
         entries = np.moveaxis(packed, -1, 0).astype(smallest).ravel()
-        # Of a table as long as a power of two, a mask keeps every index inside; a clamp takes longer.
+        # With a power of two as its length, a mask keeps every index inside; a clamp would take longer.
         self.entries = np.pad(entries, (0, (1 << (len(entries) - 1).bit_length()) - len(entries)))
         self._entry = stage(self._read)
 

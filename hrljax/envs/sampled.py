@@ -1,4 +1,4 @@
-"""What comes of acting at random, where an environment has too many outcomes to look at each of them."""
+"""Checks by random episodes, for environments with too many outcomes to look at each of them."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ _EPISODES, _STEPS = 32, 128
 
 
 class _Seen(NamedTuple):
-    """What a step led to; numbers are 0 unless the environment is tabular."""
+    """What is checked of a step; state numbers are 0 unless the environment is tabular."""
 
     reward: Any  # float32
     amounts: Any  # [events] float32
@@ -26,7 +26,7 @@ class _Seen(NamedTuple):
 
 
 def check_sampled_steps(env: Any, points: tuple[Any, ...]) -> None:
-    """Raises for a step of random episodes that makes no sense, under any of several `params`.
+    """Raises if a step of a random episode makes no sense, under any of several `params`.
 
     Raises:
         ValueError: a number outside of the range of states or that decodes to another state, a reward
@@ -34,7 +34,7 @@ def check_sampled_steps(env: Any, points: tuple[Any, ...]) -> None:
     """
     limit = points[0].max_steps
 
-    # One step, not an episode: it takes the least time to compile.
+    # A single step is compiled, not an episode, because that takes the least time.
     @jax.jit
     def begin(numbers: Any, words: Any) -> tuple[Any, Array]:
         first = contract.initial(env, words, numbers._replace(max_steps=limit))

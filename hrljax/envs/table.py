@@ -150,9 +150,9 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:
-    own = np.array(array)
-    own.flags.writeable = False
-    return own
+    copy = np.array(array)
+    copy.flags.writeable = False
+    return copy
 
 
 def _first_words(probability: np.ndarray) -> np.ndarray:

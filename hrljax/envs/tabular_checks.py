@@ -23,7 +23,7 @@ _PAIRS, _STEPS_OF_PAIR = 16, 10_000
 def check_words(env: Any, params: Any) -> None:
     """Raises unless steps with random words are those of the model, whatever the time, and `decode` inverts `encode`.
 
-    Where an environment has too many outcomes to enumerate, there is nothing to compare with.
+    An environment with too many outcomes to enumerate is not checked.
     """
     if not few_outcomes(env, params):
         return
@@ -110,12 +110,12 @@ def check_model(env: Any, params: Any) -> None:
 
 
 def _derived_model(owner: type) -> Any:
-    """`TabularEnvironment.model`, found without importing it."""
+    """`TabularEnvironment.model`, taken from the base classes of `owner`: an import would form a circle."""
     return next(vars(base)["model"] for base in reversed(owner.__mro__) if "model" in vars(base))
 
 
 def _outcome(next_state: int, reward: float, terminated: bool) -> tuple[Any, float, bool]:
-    """An outcome to be counted; rewards may differ in a last bit, and where an episode ends is nobody's concern."""
+    """An outcome as it is counted: rewards rounded to five digits, and no next state where the episode ends."""
     return ("any" if terminated else next_state), float(f"{reward:.5g}"), terminated
 
 
@@ -127,7 +127,7 @@ def _check_distribution(env: Any, method: str, probability: np.ndarray, shape: t
 
 
 def _check_frequencies(where: str, what: str, seen: Any, expected: Any) -> None:
-    """Raises for an outcome that happened by far too often or too seldom for chance."""
+    """Raises if an outcome happened so often or so seldom that chance cannot explain it."""
     count = sum(seen.values())
     for outcome in {**expected, **seen}:
         times, probability = seen.get(outcome, 0), min(expected.get(outcome, 0.0), 1.0)
@@ -160,7 +160,7 @@ def _words(generator: np.random.Generator, kinds: WordKinds, count: int) -> tupl
 
 
 def _look_at(env: Any, params: Any, number: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, ...]:
-    """A step: next state, reward, flags; whether `decode` gives the next state back; whether time is of no concern."""
+    """A step: next state, reward, flags; whether `decode` gives the next state back; whether time plays no part."""
     before = contract.decode(env, number)
     older = _older(before)
     after, reward, flags = flagged_step(env, params, before, action, words)

@@ -1,4 +1,4 @@
-"""Random words by what they mean to an environment."""
+"""Kinds of random words: an environment treats all words of one kind alike."""
 
 import math
 from typing import Any
@@ -11,11 +11,11 @@ from hrljax.core import random
 
 
 class WordKinds:
-    """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
+    """The kinds of an environment's random words; combinations of them are numbered, the last word's kind fastest."""
 
     def __init__(self, cuts: tuple[tuple[Any, ...], ...]):
-        """Kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
-        # A cut above 1 is one that no word reaches.
+        """The kinds that the given cuts make, see `TabularEnvironment.word_cuts`."""
+        # No word reaches a cut above 1.
         thresholds = ([min(int(random.threshold(cut)), random.WORD_RANGE) for cut in word_cuts] for word_cuts in cuts)
         # Where each word's kinds begin, and where the last one ends.
         self._edges = [np.unique([0, *word_thresholds, random.WORD_RANGE]) for word_thresholds in thresholds]

@@ -34,7 +34,7 @@ class CellMap(NamedTuple):
     height: int
     width: int
     neighbour: np.ndarray  # [cells, 4] int32: the cell that a move reaches (itself at a wall)
-    wall: np.ndarray  # [cells] bool: nobody can be here
+    wall: np.ndarray  # [cells] bool: cannot be entered
     goal: np.ndarray  # [cells] bool: the episode ends here
     pit: np.ndarray  # [cells] bool: the episode ends here, badly
     starts: np.ndarray  # [cells] bool: where an episode can begin
@@ -61,8 +61,8 @@ class CellWorld(TabularEnvironment[CellState, Params], Generic[Params]):
     """Moves on a `CellMap`. A move slips to either side with half of ``params.slip_probability`` each.
 
     An episode begins in one of the map's starts, all equally likely, and ends in a goal or in a pit.
-    Closed cells have numbers too, but never occur; in the model, every action that leads to one ends
-    the episode, so that they keep no solver busy for ever.
+    Closed cells have numbers too, but never occur. In the model, an action that leads to one ends the
+    episode, so that values of closed cells are finite without discounting.
     """
 
     directions: ClassVar[tuple[int, ...]]

@@ -51,8 +51,8 @@ def test_the_shipped_map_has_its_start_and_passengers():
 def test_the_shipped_map_has_two_sites_seen_from_both_sides():
     bus_map = parse(KAO_V1)
     assert bus_map.site_names == ("A", "B")
-    found = {(c, m): int(bus_map.site[c, m]) for c, m in np.argwhere(bus_map.site).tolist()}
-    assert found == {(14, EAST): 1, (15, WEST): 1, (23, SOUTH): 2, (29, NORTH): 2}
+    sites = {(c, m): int(bus_map.site[c, m]) for c, m in np.argwhere(bus_map.site).tolist()}
+    assert sites == {(14, EAST): 1, (15, WEST): 1, (23, SOUTH): 2, (29, NORTH): 2}
     assert bus_map.neighbour[14, EAST] == 15
     assert bus_map.neighbour[23, SOUTH] == 29
 
@@ -229,8 +229,8 @@ def test_errors_name_the_row_and_the_column(text: str, row: int, column: int, pr
 
 
 def test_a_map_may_begin_with_a_newline():
-    for found, expected in zip(parse("\n" + SMALL), parse(SMALL), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    for with_blank_line, expected in zip(parse("\n" + SMALL), parse(SMALL), strict=True):
+        np.testing.assert_array_equal(with_blank_line, expected)
 
 
 def test_a_line_longer_than_the_first_is_named():

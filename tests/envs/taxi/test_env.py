@@ -146,9 +146,13 @@ def test_a_pickup_is_allowed_where_the_passenger_waits(rules: str):
     for waits in range(4):
         for cell in range(25):
             result = move(env, state_of(cell, waits, (waits + 1) % 4), PICKUP)
-            here = cell == AT[waits]
-            assert (result.passenger, result.cell, result.illegal) == (ABOARD if here else waits, cell, not here)
-            assert (result.reward, result.ended) == (-1 if here else -10, False)
+            may_board = cell == AT[waits]
+            assert (result.passenger, result.cell, result.illegal) == (
+                ABOARD if may_board else waits,
+                cell,
+                not may_board,
+            )
+            assert (result.reward, result.ended) == (-1 if may_board else -10, False)
     for cell in (AT[RED], MIDDLE):
         again = move(env, state_of(cell, ABOARD), PICKUP)
         assert (again.reward, again.passenger, again.illegal) == (-10, ABOARD, True)

@@ -76,16 +76,16 @@ def decayed(value: Array, by: Factor) -> Array:
     # Second rounding: to 24 bits, or to the places that a subnormal number has.
     finer = short & (exponent > np.uint32(1)).astype(jnp.uint32)
     shift = np.uint32(5) - finer + leading_zeros
-    kept = lax.shift_right_logical(total, shift)
-    rest = ((total - lax.shift_left(kept, shift)) << np.uint32(1)) | inexact
-    kept = kept + _round_up(rest, lax.shift_left(jnp.uint32(1), shift), kept)
-    result = ((exponent - finer - np.uint32(1)) << np.uint32(23)) + kept
+    upper = lax.shift_right_logical(total, shift)
+    rest = ((total - lax.shift_left(upper, shift)) << np.uint32(1)) | inexact
+    upper = upper + _round_up(rest, lax.shift_left(jnp.uint32(1), shift), upper)
+    result = ((exponent - finer - np.uint32(1)) << np.uint32(23)) + upper
     return lax.bitcast_convert_type(result | (bits & _SIGN), jnp.float32)
 
 
-def _round_up(rest: Array, half: Array, kept: Array) -> Array:
+def _round_up(rest: Array, half: Array, upper: Array) -> Array:
     """1 if what is cut off, `rest`, calls for the next larger number, else 0; ties go to the even one."""
-    return ((rest > half) | ((rest == half) & ((kept & np.uint32(1)) == 1))).astype(jnp.uint32)
+    return ((rest > half) | ((rest == half) & ((upper & np.uint32(1)) == 1))).astype(jnp.uint32)
 
 
 def is_positive(value: Array) -> Array:

@@ -66,9 +66,9 @@ def _shake(tick: Tick, cell: Cell) -> Tick:
     tile = tile_at(world.tiles, cell)
     coin = (behavior(tile) & np.int32(PICK_UP)) != 0
     # A cell above the level holds no coin, so the tile at its clamped place stays.
-    kept = lax.select(cell.row < 0, take(world.tiles, index), tile)
+    unchanged = lax.select(cell.row < 0, take(world.tiles, index), tile)
     world = world._replace(
-        tiles=put_tile(world.tiles, index, lax.select(coin, jnp.uint8(EMPTY), kept)),
+        tiles=put_tile(world.tiles, index, lax.select(coin, jnp.uint8(EMPTY), unchanged)),
         coins=world.coins + coin.astype(jnp.int32),
     )
     left = (cell.column * TILE).astype(jnp.float32)
