@@ -3,7 +3,7 @@
 The original multiplies three times in float64 and rounds to float32, and its velocities decay into
 the subnormal numbers, which XLA on a CPU flushes to zero: Mario, standing still for 20 seconds,
 would then leave the ground for one tick (a landed Mario's ya only decays; being above zero is what
-keeps him on the ground). So decay is computed on the bits, in integers.
+keeps him on the ground). So decay is computed on the bits, in integers (docs/mario_engine.md, "Exact arithmetic").
 """
 
 from typing import NamedTuple

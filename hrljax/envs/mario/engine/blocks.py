@@ -1,4 +1,7 @@
-"""Bumping a tile: what it turns into, what comes out, and what happens to those who stand on it."""
+"""Bumping a tile: what it turns into, what comes out, and what happens to those who stand on it.
+
+The rules are in docs/mario_engine.md, "Blocks and items".
+"""
 
 import jax.numpy as jnp
 import numpy as np

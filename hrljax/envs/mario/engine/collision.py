@@ -1,5 +1,7 @@
 """How things meet tiles: what blocks, and moving in pieces of at most 8 pixels.
 
+The rules are in docs/mario_engine.md, "Moving and collision".
+
 A move probes the tiles at some points of the box that it would take the thing to. A probe of the
 cell in which the thing's foot point lies already is free.
 """

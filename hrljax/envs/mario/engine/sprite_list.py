@@ -1,4 +1,4 @@
-"""One sprite as scalars; reading, writing, adding and removing sprites; what is true within a tick."""
+"""One sprite as scalars; reading, writing, adding and removing sprites; the world in the middle of a tick."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar

@@ -1,4 +1,7 @@
-"""How sprites come into the game and move: monsters, items, fireballs and shells."""
+"""How sprites come into the game and move: monsters, items, fireballs and shells.
+
+The rules are in docs/mario_engine.md, "Sprites", and docs/mario_engine.md, "Coming and going".
+"""
 
 import jax.numpy as jnp
 import numpy as np

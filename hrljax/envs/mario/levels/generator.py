@@ -1,7 +1,8 @@
 """Levels as the 2009 competition's program generates them, from a seed, a type and a difficulty.
 
 Runs on the host, a few milliseconds a level. The same arguments give the same tiles, monsters and
-exit as the original program, so every draw below stands in the original's order.
+exit as the original program, so every draw below stands in the original's order, which is told in
+docs/mario_engine.md, "Level generation".
 """
 
 from collections.abc import Sequence
