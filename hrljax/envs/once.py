@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -12,7 +12,7 @@ def once_per_environment(maxsize: int) -> Callable[[Callable[P, T]], Callable[P,
     """`functools.lru_cache`, but with arguments that have no hash the function is called every time."""
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
-        cached: Any = lru_cache(maxsize)(function)
+        cached = lru_cache(maxsize)(function)
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from jax import Array
 from jax.core import Tracer
 
 from hrljax.core import contract, random
+from hrljax.core.environment import AnyTabularDynamics, Numbers, Params, State, TabularDynamics, Words
 from hrljax.core.numerics import stage, take
 from hrljax.envs.occurring import Outcomes, check_outcomes, check_range
 from hrljax.envs.once import once_per_environment
@@ -32,7 +33,7 @@ class Enumerated(NamedTuple):
     occurs: np.ndarray  # [S] bool: states that can occur and in which the episode goes on
 
 
-def enumerate_outcomes(env: Any, params: Any) -> Enumerated:
+def enumerate_outcomes(env: AnyTabularDynamics, params: Numbers) -> Enumerated:
     """All outcomes of a tabular environment's `transition`; `params` as from `concrete_params`.
 
     If they are few they are cached, because both the table of steps and the exact model are made of them.
@@ -44,7 +45,7 @@ def enumerate_outcomes(env: Any, params: Any) -> Enumerated:
     return (_cached_outcomes if few_outcomes(env, params) else _enumerate)(env, params)
 
 
-def _enumerate(env: Any, params: Any) -> Enumerated:
+def _enumerate(env: AnyTabularDynamics, params: Numbers) -> Enumerated:
     kinds = WordKinds(contract.word_cuts(env, params))
     steps = jax.jit(partial(_numbered_steps, env, kinds.count, params))
     ends = kinds.first_words(), kinds.last_words()
@@ -65,7 +66,7 @@ def _enumerate(env: Any, params: Any) -> Enumerated:
 _cached_outcomes = once_per_environment(2)(_enumerate)
 
 
-def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
+def check_computed_outcomes(env: AnyTabularDynamics, points: Sequence[Numbers]) -> None:
     """Raises for an outcome that makes no sense under any of several `params`, as `enumerate_outcomes` does.
 
     Compiles once for all of them. Words of one kind may differ in what they lead to: that only matters
@@ -77,11 +78,11 @@ def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
     limit = points[0].max_steps
 
     @jax.jit
-    def steps(numbers: Any, words: tuple[Array, ...]) -> Any:
+    def steps(numbers: Numbers, words: Words) -> tuple[Array, Array, Array]:
         return _numbered_steps(env, most, numbers._replace(max_steps=limit), *_pairs(env), words)
 
     @jax.jit
-    def firsts(numbers: Any, words: tuple[Array, ...]) -> Array:
+    def firsts(numbers: Numbers, words: Words) -> Array:
         return _numbered_firsts(env, most_initial, numbers._replace(max_steps=limit), words)
 
     renumbered = _renumbered(env)
@@ -92,7 +93,7 @@ def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
             check_outcomes(env, outcomes, begins, renumbered)
 
 
-def first_numbers(env: Any, params: Any, kinds: WordKinds) -> np.ndarray:
+def first_numbers(env: AnyTabularDynamics, params: Numbers, kinds: WordKinds) -> np.ndarray:
     """``[N]`` int32: the number of the first state, for each kind of the words of `initial`.
 
     Raises:
@@ -112,7 +113,7 @@ def first_numbers(env: Any, params: Any, kinds: WordKinds) -> np.ndarray:
     return numbers
 
 
-def _some_first_numbers(env: Any, params: Any) -> np.ndarray:
+def _some_first_numbers(env: AnyTabularDynamics, params: Numbers) -> np.ndarray:
     """The numbers of all first states, or of `_RANDOM_BEGINNINGS` random ones if there are too many kinds."""
     kinds = WordKinds(contract.initial_word_cuts(env, params))
     if kinds.count <= _MOST_ENTRIES:
@@ -132,29 +133,29 @@ def _padded(words: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]
     return tuple(np.resize(word, count) for word in words)
 
 
-def _pairs(env: Any) -> tuple[Array, Array]:
+def _pairs(env: AnyTabularDynamics) -> tuple[Array, Array]:
     """All states ``[S]`` and all actions ``[A]``, int32."""
     return jnp.arange(env.num_states, dtype=jnp.int32), jnp.arange(env.num_actions, dtype=jnp.int32)
 
 
-def _renumbered(env: Any) -> np.ndarray:
+def _renumbered(env: AnyTabularDynamics) -> np.ndarray:
     """``[S]`` int32: ``encode(decode(i))`` of every number i."""
     again = jax.jit(jax.vmap(lambda number: contract.encode(env, contract.decode(env, number))))
     with jax.ensure_compile_time_eval():
         return np.asarray(again(_pairs(env)[0]))
 
 
-def _numbered_firsts(env: Any, count: int, params: Any, words: tuple[Array, ...]) -> Array:
+def _numbered_firsts(env: AnyTabularDynamics, count: int, params: Numbers, words: Words) -> Array:
     """``[N]``: the numbers of the first states that words of `initial`, each ``[N]``, lead to."""
 
-    def first(words: tuple[Array, ...]) -> Array:
+    def first(words: Words) -> Array:
         return contract.encode(env, contract.initial(env, words, params))
 
     return jax.vmap(first, axis_size=count)(words)
 
 
 def _numbered_steps(
-    env: Any, count: int, params: Any, states: Array, actions: Array, words: tuple[Array, ...]
+    env: AnyTabularDynamics, count: int, params: Numbers, states: Array, actions: Array, words: Words
 ) -> tuple[Array, Array, Array]:
     """`numbered_step` from states ``[S]`` by actions ``[A]`` with words, each ``[N]``: arrays ``[S, A, N]``."""
     over_words = jax.vmap(partial(numbered_step, env, params), (None, None, 0), axis_size=count)
@@ -163,7 +164,7 @@ def _numbered_steps(
 
 
 def numbered_step(
-    env: Any, params: Any, state: Array, action: Array, words: tuple[Array, ...]
+    env: TabularDynamics[State, Params], params: Params, state: Array, action: Array, words: Words
 ) -> tuple[Array, Array, Array]:
     """One step of a tabular environment in the numbers of its states: next state, reward, flags as in `Outcomes`."""
     after, reward, flags = flagged_step(env, params, contract.decode(env, state), action, words)
@@ -171,8 +172,8 @@ def numbered_step(
 
 
 def flagged_step(
-    env: Any, params: Any, state: Any, action: Array, words: tuple[Array, ...]
-) -> tuple[Any, Array, Array]:
+    env: TabularDynamics[State, Params], params: Params, state: State, action: Array, words: Words
+) -> tuple[State, Array, Array]:
     """One step of a tabular environment: next state, reward, flags as in `Outcomes`."""
     after, reward, terminated, info = contract.transition(env, state, action, words, params)
     flags = terminated.astype(jnp.int32)
@@ -208,7 +209,7 @@ class OutcomeTable:
         self.entries = np.pad(entries, (0, (1 << (len(entries) - 1).bit_length()) - len(entries)))
         self._entry = stage(self._read)
 
-    def place(self, words: tuple[Array, ...]) -> Array:
+    def place(self, words: Words) -> Array:
         """Where the entries begin that hold for an environment's words (int32 of their shape)."""
         return self._kinds.number(words) * np.int32(self._num_pairs)
 
@@ -223,7 +224,7 @@ class OutcomeTable:
         return rest >> self._reward_bits, reward, flags
 
 
-def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
+def outcome_table(env: AnyTabularDynamics, params: Numbers) -> OutcomeTable | None:
     """The steps of a tabular environment as a table; None if it would be large or its numbers are traced.
 
     Made once in a process for an environment and its numbers.
@@ -233,7 +234,7 @@ def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
     return _cached_table(env, params)
 
 
-def _table(env: Any, params: Any) -> OutcomeTable | None:
+def _table(env: AnyTabularDynamics, params: Numbers) -> OutcomeTable | None:
     cuts = contract.word_cuts(env, params)
     if sum(map(len, cuts)) > _MOST_CUTS:
         return None
@@ -244,7 +245,7 @@ def _table(env: Any, params: Any) -> OutcomeTable | None:
     return table if table.fits else None
 
 
-def few_outcomes(env: Any, params: Any) -> bool:
+def few_outcomes(env: AnyTabularDynamics, params: Numbers) -> bool:
     """Whether a tabular environment has few enough outcomes and beginnings to look at each of them."""
     outcomes = env.num_states * env.num_actions * WordKinds(contract.word_cuts(env, params)).count
     return max(outcomes, WordKinds(contract.initial_word_cuts(env, params)).count) <= _MOST_ENTRIES
