@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 from jax.tree_util import KeyPath
 
+from hrljax.core import checks
 from hrljax.core.environment import (
     AnyDynamics,
     AnyTabularDynamics,
@@ -32,7 +33,6 @@ T = TypeVar("T")
 
 _INTEGERS = (jnp.bool_, jnp.integer)
 _NUMBERS = (*_INTEGERS, jnp.floating)
-_OF_PYTHON = ((bool, np.dtype(np.bool_)), (int, np.dtype(np.int32)), (float, np.dtype(np.float32)))
 _SEQUENCES = (tuple, list, np.ndarray)
 _MORE_WORDS = 16
 """How many words more than declared an error message looks for."""
@@ -54,7 +54,7 @@ def transition(
     where = f"{env.name}: transition"
     returned = _given_words(where, "num_words", lambda drawn: env.transition(state, action, drawn, params), words)
     if not isinstance(returned, tuple | list) or len(returned) != 4:
-        got = f"{len(returned)} values" if isinstance(returned, tuple | list) else described(returned)
+        got = f"{len(returned)} values" if isinstance(returned, tuple | list) else checks.type_in_words(returned)
         raise TypeError(f"{where} must return next state, reward, terminated and info, got {got}")
     after, reward, terminated, info = returned
     return (
@@ -89,13 +89,6 @@ def initial_word_cuts(env: TabularDynamics[State, Params], params: Params) -> Cu
     return _cuts(env, "initial_word_cuts", "num_initial_words", params)
 
 
-def described(value: object) -> str:
-    """A value that is not what it has to be, for a message: arrays by their type, other objects by their value."""
-    if isinstance(value, jax.Array | np.ndarray | np.generic):
-        return f"{value.dtype.name} of shape {list(value.shape)}" if np.ndim(value) else value.dtype.name
-    return repr(value) if value is None or isinstance(value, bool | int | float | str) else f"a {type(value).__name__}"
-
-
 def _given_words(where: str, option: str, method: Callable[[Words], T], words: Words) -> T:
     """``method(words)``; an error that names `option` where it takes another number of words."""
     try:
@@ -123,9 +116,11 @@ def _state(where: str, state: State) -> State:
         if isinstance(leaf, jax.Array) and not leaf.weak_type:
             return leaf
         field = jax.tree_util.keystr(path).lstrip(".")
-        dtype = _dtype(leaf)
+        dtype = checks.dtype_of(leaf)
         if dtype is None:
-            raise TypeError(f"{where} must return a state of numbers and arrays, got {described(leaf)} as {field}")
+            raise TypeError(
+                f"{where} must return a state of numbers and arrays, got {checks.type_in_words(leaf)} as {field}"
+            )
         narrow = jax.dtypes.canonicalize_dtype(dtype)  # what JAX has in place of a type of NumPy
         return _array(f"{where} must return a state of int32, float32 and bool", leaf, narrow, f" as {field}")
 
@@ -134,7 +129,7 @@ def _state(where: str, state: State) -> State:
 
 def _events(env: AnyDynamics, where: str, info: object) -> dict[str, Array]:
     if not isinstance(info, Mapping):
-        raise TypeError(f"{where} a mapping from names of events as info, got {described(info)}")
+        raise TypeError(f"{where} a mapping from names of events as info, got {checks.type_in_words(info)}")
     if missing := [name for name in env.metrics if name not in info]:
         has = ", ".join(map(repr, info)) or "no event"
         raise ValueError(f"{where} each event that metrics names in its info: {missing[0]!r} is missing, it has {has}")
@@ -142,18 +137,18 @@ def _events(env: AnyDynamics, where: str, info: object) -> dict[str, Array]:
 
 
 def _event(env: AnyDynamics, where: str, name: str, value: object) -> Array:
-    if env.is_tabular or _dtype(value) == np.bool_:
+    if env.is_tabular or checks.dtype_of(value) == np.bool_:
         return _scalar(f"{where} a bool as event {name!r}", value, (jnp.bool_,), jnp.bool_)
     return _scalar(f"{where} a bool or a number as event {name!r}", value, _NUMBERS, jnp.float32)
 
 
 def _scalar(rule: str, value: Any, kinds: tuple[Any, ...], dtype: Any) -> Array:
     """`value` as an array scalar of `dtype`; raises with `rule`, which says what it must be."""
-    actual = _dtype(value)
+    actual = checks.dtype_of(value)
     if actual is None or not any(jnp.issubdtype(actual, kind) for kind in kinds):
-        raise TypeError(f"{rule}, got {described(value)}")
+        raise TypeError(f"{rule}, got {checks.type_in_words(value)}")
     if np.shape(value):
-        raise ValueError(f"{rule}, and only one, got {described(value)}")
+        raise ValueError(f"{rule}, and only one, got {checks.type_in_words(value)}")
     return _array(rule, value, dtype)
 
 
@@ -169,13 +164,6 @@ def _array(rule: str, value: Any, dtype: Any, place: str = "") -> Array:
     if array is None or (jnp.issubdtype(dtype, jnp.integer) and not np.array_equal(array, value)):
         raise ValueError(f"{rule}, got {value!r}{place}, which {np.dtype(dtype).name} cannot hold")
     return jnp.asarray(array)
-
-
-def _dtype(value: Any) -> np.dtype[Any] | None:
-    """The dtype of an array or number; None of anything else."""
-    if isinstance(value, jax.Array | np.ndarray | np.generic):
-        return None if value.dtype.kind in "OSUMm" else value.dtype
-    return next((dtype for kind, dtype in _OF_PYTHON if isinstance(value, kind)), None)
 
 
 def _cuts(env: AnyTabularDynamics, method: str, option: str, params: Numbers) -> Cuts:

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from hrljax.core import checks, contract
+from hrljax.core import checks
 from hrljax.core.environment import Params, State
 from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_declarations, check_types, check_values
@@ -135,9 +135,9 @@ def _check_pictures(env: Environment[State, Params], state: State) -> None:
                 f"got {env.renderer!r}: {error}"
             ) from error
         if mode == "ansi" and not isinstance(picture, str):
-            raise TypeError(f"{env.name}: render must return a str for 'ansi', got {contract.described(picture)}")
+            raise TypeError(f"{env.name}: render must return a str for 'ansi', got {checks.type_in_words(picture)}")
         if mode == "rgb_array":
             shape, dtype = np.shape(picture), getattr(picture, "dtype", None)
             if dtype != np.uint8 or len(shape) != 3 or shape[-1] != 3:
-                got = contract.described(picture)
+                got = checks.type_in_words(picture)
                 raise TypeError(f"{env.name}: render must return uint8 of shape [H, W, 3] for 'rgb_array', got {got}")

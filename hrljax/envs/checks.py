@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax.core import contract
+from hrljax.core import checks, contract
 from hrljax.core.environment import AnyDynamics, EpisodeState, Numbers, Words, is_tabular
 from hrljax.envs.once import once_per_environment
 from hrljax.envs.outcomes import check_computed_outcomes, few_outcomes, outcome_table
@@ -132,7 +132,7 @@ def _check_types(env: AnyDynamics, params: Numbers) -> None:
 def _check_time(env: AnyDynamics, state: EpisodeState) -> None:
     time = getattr(state, "time", None)
     if not isinstance(time, jax.Array) or time.shape or time.dtype != jnp.int32:
-        got = contract.described(time)
+        got = checks.type_in_words(time)
         raise TypeError(f"{env.name}: every state must have a field time (int32, steps taken), got {got} from initial")
 
 
@@ -145,8 +145,8 @@ def _check_alike(where: str, first: EpisodeState, other: EpisodeState) -> None:
         if (expected.shape, expected.dtype) != (got.shape, got.dtype):
             field = jax.tree_util.keystr(path).lstrip(".")
             raise TypeError(
-                f"{where} must return a state with {contract.described(expected)} as {field}, as initial does, "
-                f"got {contract.described(got)}"
+                f"{where} must return a state with {checks.type_in_words(expected)} as {field}, as initial does, "
+                f"got {checks.type_in_words(got)}"
             )
 
 
