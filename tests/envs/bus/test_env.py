@@ -16,13 +16,12 @@ from hrljax.core.random import WORD_RANGE
 from hrljax.envs.bus.env import Bus, BusParams, BusState
 from hrljax.envs.bus.map import KAO_V1, MapError
 from hrljax.solvers.model import Model
+from tests.words import CALM
 
 NORTH, EAST, SOUTH, WEST = range(4)
 NO_ROAD, ROAD_A, ROAD_B = range(3)
 START, FIRST_PASSENGER, BESIDE_START = 3 * 6 + 1, 1 * 6 + 5, 3 * 6 + 2
 WEST_OF_A, EAST_OF_A, NORTH_OF_B, SOUTH_OF_B = 14, 15, 23, 29
-CALM = WORD_RANGE - 1
-"""The word on which nothing happens: no slip, no breakdown, no new road."""
 
 
 def state_of(cell: int, damaged: int = 0, picked: int = 0, road: int = NO_ROAD, time: int = 0) -> BusState:

@@ -16,9 +16,9 @@ from hrljax.envs.grid.cell_world import CellMap, CellState
 from hrljax.envs.grid.gridworld import GridParams, Gridworld
 from hrljax.envs.grid.map import CLIFF, FOUR_ROOMS, parse
 from hrljax.solvers import value_iteration
+from tests.words import CALM
 
 NORTH, EAST, SOUTH, WEST = range(4)
-CALM = WORD_RANGE - 1
 SMALL = """\
 S.#.
 ..aG

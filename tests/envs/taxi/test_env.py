@@ -13,11 +13,11 @@ import hrljax as hrl
 from hrljax.core.random import WORD_RANGE
 from hrljax.envs.taxi.env import ABOARD, FickleTaxiParams, Taxi, TaxiParams, TaxiState, taxi_layout
 from hrljax.solvers import Model, value_iteration
+from tests.words import CALM
 
 SOUTH, NORTH, EAST, WEST, PICKUP, PUTDOWN = range(6)
 RED, GREEN, YELLOW, BLUE = range(4)
 AT = dict(zip((RED, GREEN, YELLOW, BLUE), (0, 4, 20, 23), strict=True))
-CALM = WORD_RANGE - 1
 MIDDLE = 12
 
 
