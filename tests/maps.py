@@ -1,6 +1,9 @@
-"""A Bus domain small enough to compile and solve in a moment, with everything that the large one has."""
+"""Maps, and what tests do with them."""
+
+import numpy as np
 
 import hrljax
+from hrljax.solvers import Model
 
 SMALL = hrljax.make(
     "Bus",
@@ -14,3 +17,22 @@ SMALL = hrljax.make(
 +---+---+---+---+
 """,
 )
+"""A Bus domain small enough to compile and solve in a moment, with everything that the large one has."""
+
+
+def written_over(text: str, row: int, column: int, new: str) -> str:
+    """`text` with `new` written over what begins at a row and column, both counted from 1."""
+    lines = text.splitlines()
+    lines[row - 1] = lines[row - 1][: column - 1] + new + lines[row - 1][column - 1 + len(new) :]
+    return "\n".join(lines)
+
+
+def occurring(model: Model, starts: np.ndarray) -> np.ndarray:
+    """``[S]`` bool: states in which an episode can have a next step; `starts` are probabilities of first states."""
+    successors = model.successors().reshape(model.num_states, -1)
+    occurs, before = starts > 0, np.zeros(model.num_states, np.bool_)
+    while (occurs != before).any():
+        before = occurs.copy()
+        following = successors[before]
+        occurs[following[following >= 0]] = True
+    return occurs

@@ -1,4 +1,4 @@
-"""The random words of a run, for programs that repeat it outside of JAX."""
+"""Random words: those of a run, for programs that repeat it outside of JAX, and one to choose."""
 
 from functools import cache
 
@@ -9,6 +9,8 @@ import numpy as np
 from hrljax.core import random
 
 KEY = jax.random.key(11)
+CALM = random.WORD_RANGE - 1
+"""The word on which nothing unlikely happens: no slip, no breakdown, no new road, no change of mind."""
 
 
 @cache

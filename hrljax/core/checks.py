@@ -21,6 +21,8 @@ T = TypeVar("T")
 
 LARGEST_INTEGER = 2**31 - 1
 LARGEST_NUMBER = float(np.finfo(np.float32).max)
+_ARRAYS = jax.Array | np.ndarray | np.generic
+_OF_PYTHON = ((bool, np.dtype(np.bool_)), (int, np.dtype(np.int32)), (float, np.dtype(np.float32)))
 _LONGEST_VALUE = 200
 """Characters of a value that a message shows."""
 
@@ -91,17 +93,28 @@ class _Text:
         return self._text
 
 
-def returned(value: Any) -> str:
+def returned(value: object) -> str:
     """What a function gave, as text; of arrays only type and shape, because JAX traces them."""
     return f"{value.dtype}{list(value.shape)}" if isinstance(value, jax.Array | np.ndarray) else repr(value)
 
 
-def dtype_of_scalar(value: Any) -> Any:
-    """The type of a number, as of an array without dimensions; None of anything else, of ``True`` it is bool."""
-    if isinstance(value, bool | int | float | complex):
-        return np.dtype(type(value))
-    is_array = isinstance(value, jax.Array | np.ndarray | np.generic)
-    return value.dtype if is_array and value.shape == () else None
+def type_in_words(value: object) -> str:
+    """The type of an array, with its shape if it has one; what is short by its value, other objects by their class."""
+    if isinstance(value, _ARRAYS):
+        return f"{value.dtype.name} of shape {list(value.shape)}" if np.ndim(value) else value.dtype.name
+    return repr(value) if value is None or isinstance(value, bool | int | float | str) else f"a {type(value).__name__}"
+
+
+def dtype_of(value: object) -> np.dtype[Any] | None:
+    """The type of an array of numbers or of one of Python's numbers, as JAX holds it; None of anything else."""
+    if isinstance(value, _ARRAYS):
+        return value.dtype if getattr(value.dtype, "kind", "O") not in "OSUMm" else None
+    return next((dtype for kind, dtype in _OF_PYTHON if isinstance(value, kind)), None)
+
+
+def dtype_of_scalar(value: object) -> np.dtype[Any] | None:
+    """The same of one number; None of an array with dimensions too."""
+    return dtype_of(value) if not isinstance(value, _ARRAYS) or value.shape == () else None
 
 
 def is_number(value: Any, kind: Any = np.number) -> bool:

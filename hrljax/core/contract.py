@@ -12,28 +12,41 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.tree_util import KeyPath
 
+from hrljax.core import checks
+from hrljax.core.environment import (
+    AnyDynamics,
+    AnyTabularDynamics,
+    Cuts,
+    Dynamics,
+    NumberedStates,
+    Numbers,
+    Params,
+    State,
+    TabularDynamics,
+    Words,
+)
 from hrljax.core.tracing_errors import explain_tracing
 
 T = TypeVar("T")
 
 _INTEGERS = (jnp.bool_, jnp.integer)
 _NUMBERS = (*_INTEGERS, jnp.floating)
-_OF_PYTHON = ((bool, np.dtype(np.bool_)), (int, np.dtype(np.int32)), (float, np.dtype(np.float32)))
 _SEQUENCES = (tuple, list, np.ndarray)
 _MORE_WORDS = 16
 """How many words more than declared an error message looks for."""
 
 
-def initial(env: Any, words: tuple[Array, ...], params: Any) -> Any:
+def initial(env: Dynamics[State, Params], words: Words, params: Params) -> State:
     """The first state of an episode."""
     where = f"{env.name}: initial"
     return _state(where, _given_words(where, "num_initial_words", lambda drawn: env.initial(drawn, params), words))
 
 
 def transition(
-    env: Any, state: Any, action: Array, words: tuple[Array, ...], params: Any
-) -> tuple[Any, Array, Array, dict[str, Any]]:
+    env: Dynamics[State, Params], state: State, action: Array, words: Words, params: Params
+) -> tuple[State, Array, Array, dict[str, Array]]:
     """Next state; reward (float32); terminated (bool); info: each event of `env.metrics`, and whatever else it has.
 
     An event is a bool; of an environment that is not tabular it may also be a float32.
@@ -41,7 +54,7 @@ def transition(
     where = f"{env.name}: transition"
     returned = _given_words(where, "num_words", lambda drawn: env.transition(state, action, drawn, params), words)
     if not isinstance(returned, tuple | list) or len(returned) != 4:
-        got = f"{len(returned)} values" if isinstance(returned, tuple | list) else described(returned)
+        got = f"{len(returned)} values" if isinstance(returned, tuple | list) else checks.type_in_words(returned)
         raise TypeError(f"{where} must return next state, reward, terminated and info, got {got}")
     after, reward, terminated, info = returned
     return (
@@ -52,38 +65,31 @@ def transition(
     )
 
 
-def encode(env: Any, state: Any) -> Array:
+def encode(env: TabularDynamics[State, Params], state: State) -> Array:
     """The number of a state of a tabular environment, int32."""
     with explain_tracing(f"{env.name}: encode"):
         number = env.encode(state)
     return _scalar(f"{env.name}: encode must return an integer", number, _INTEGERS, jnp.int32)
 
 
-def decode(env: Any, index: Array) -> Any:
+def decode(env: NumberedStates[State], index: Array) -> State:
     """The state of a number."""
     with explain_tracing(f"{env.name}: decode"):
         state = env.decode(index)
     return _state(f"{env.name}: decode", state)
 
 
-def word_cuts(env: Any, params: Any) -> tuple[tuple[Any, ...], ...]:
+def word_cuts(env: TabularDynamics[State, Params], params: Params) -> Cuts:
     """The cuts of a tabular environment's words, one tuple for each word; `params` are not traced."""
     return _cuts(env, "word_cuts", "num_words", params)
 
 
-def initial_word_cuts(env: Any, params: Any) -> tuple[tuple[Any, ...], ...]:
+def initial_word_cuts(env: TabularDynamics[State, Params], params: Params) -> Cuts:
     """The same for the words of `initial`."""
     return _cuts(env, "initial_word_cuts", "num_initial_words", params)
 
 
-def described(value: Any) -> str:
-    """A value that is not what it has to be, for a message: arrays by their type, other objects by their value."""
-    if isinstance(value, jax.Array | np.ndarray | np.generic):
-        return f"{value.dtype.name} of shape {list(value.shape)}" if np.ndim(value) else value.dtype.name
-    return repr(value) if value is None or isinstance(value, bool | int | float | str) else f"a {type(value).__name__}"
-
-
-def _given_words(where: str, option: str, method: Callable[[tuple[Array, ...]], T], words: tuple[Array, ...]) -> T:
+def _given_words(where: str, option: str, method: Callable[[Words], T], words: Words) -> T:
     """``method(words)``; an error that names `option` where it takes another number of words."""
     try:
         with explain_tracing(where):
@@ -97,7 +103,7 @@ def _given_words(where: str, option: str, method: Callable[[tuple[Array, ...]], 
     raise ValueError(f"{where} takes {taken} random words, but {option} is {declared}")
 
 
-def _works(method: Callable[[tuple[Array, ...]], Any], count: int) -> bool:
+def _works(method: Callable[[Words], object], count: int) -> bool:
     try:
         method((jnp.uint32(0),) * count)
     except Exception:  # of the environment's own code: any
@@ -105,42 +111,44 @@ def _works(method: Callable[[tuple[Array, ...]], Any], count: int) -> bool:
     return True
 
 
-def _state(where: str, state: Any) -> Any:
-    def converted(path: Any, leaf: Any) -> Any:
+def _state(where: str, state: State) -> State:
+    def converted(path: KeyPath, leaf: object) -> Array:
         if isinstance(leaf, jax.Array) and not leaf.weak_type:
             return leaf
         field = jax.tree_util.keystr(path).lstrip(".")
-        dtype = _dtype(leaf)
+        dtype = checks.dtype_of(leaf)
         if dtype is None:
-            raise TypeError(f"{where} must return a state of numbers and arrays, got {described(leaf)} as {field}")
+            raise TypeError(
+                f"{where} must return a state of numbers and arrays, got {checks.type_in_words(leaf)} as {field}"
+            )
         narrow = jax.dtypes.canonicalize_dtype(dtype)  # what JAX has in place of a type of NumPy
         return _array(f"{where} must return a state of int32, float32 and bool", leaf, narrow, f" as {field}")
 
     return jax.tree_util.tree_map_with_path(converted, state)
 
 
-def _events(env: Any, where: str, info: Any) -> dict[str, Any]:
+def _events(env: AnyDynamics, where: str, info: object) -> dict[str, Array]:
     if not isinstance(info, Mapping):
-        raise TypeError(f"{where} a mapping from names of events as info, got {described(info)}")
+        raise TypeError(f"{where} a mapping from names of events as info, got {checks.type_in_words(info)}")
     if missing := [name for name in env.metrics if name not in info]:
         has = ", ".join(map(repr, info)) or "no event"
         raise ValueError(f"{where} each event that metrics names in its info: {missing[0]!r} is missing, it has {has}")
     return {**info, **{name: _event(env, where, name, info[name]) for name in env.metrics}}
 
 
-def _event(env: Any, where: str, name: str, value: Any) -> Array:
-    if env.is_tabular or _dtype(value) == np.bool_:
+def _event(env: AnyDynamics, where: str, name: str, value: object) -> Array:
+    if env.is_tabular or checks.dtype_of(value) == np.bool_:
         return _scalar(f"{where} a bool as event {name!r}", value, (jnp.bool_,), jnp.bool_)
     return _scalar(f"{where} a bool or a number as event {name!r}", value, _NUMBERS, jnp.float32)
 
 
 def _scalar(rule: str, value: Any, kinds: tuple[Any, ...], dtype: Any) -> Array:
     """`value` as an array scalar of `dtype`; raises with `rule`, which says what it must be."""
-    actual = _dtype(value)
+    actual = checks.dtype_of(value)
     if actual is None or not any(jnp.issubdtype(actual, kind) for kind in kinds):
-        raise TypeError(f"{rule}, got {described(value)}")
+        raise TypeError(f"{rule}, got {checks.type_in_words(value)}")
     if np.shape(value):
-        raise ValueError(f"{rule}, and only one, got {described(value)}")
+        raise ValueError(f"{rule}, and only one, got {checks.type_in_words(value)}")
     return _array(rule, value, dtype)
 
 
@@ -158,14 +166,7 @@ def _array(rule: str, value: Any, dtype: Any, place: str = "") -> Array:
     return jnp.asarray(array)
 
 
-def _dtype(value: Any) -> np.dtype[Any] | None:
-    """The dtype of an array or number; None of anything else."""
-    if isinstance(value, jax.Array | np.ndarray | np.generic):
-        return None if value.dtype.kind in "OSUMm" else value.dtype
-    return next((dtype for kind, dtype in _OF_PYTHON if isinstance(value, kind)), None)
-
-
-def _cuts(env: Any, method: str, option: str, params: Any) -> tuple[tuple[Any, ...], ...]:
+def _cuts(env: AnyTabularDynamics, method: str, option: str, params: Numbers) -> Cuts:
     where = f"{env.name}: {method}"
     with jax.ensure_compile_time_eval(), explain_tracing(where):
         cuts = getattr(env, method)(params)

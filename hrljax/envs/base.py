@@ -3,13 +3,13 @@
 An environment describes one episode for one agent, in scalars. `reset` and `step` take keys, as in
 gymnax 1.0, and never reset by themselves. Under them lie `initial` and `transition`, which are
 deterministic in explicit random words (`hrljax.core.random`): a training loop feeds them random words,
-`exact_model` feeds them one word of every kind, so that the simulator and the model cannot disagree.
+an exact model feeds them one word of every kind, so that the simulator and the model cannot disagree.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Protocol, TypeAlias, cast
 
 import gymnasium
 import jax.numpy as jnp
@@ -18,18 +18,16 @@ from jax import Array
 from jax.core import Tracer
 
 from hrljax.core import checks, contract, random
+from hrljax.core.environment import Dynamics, Events, Params, State, TabularDynamics
 from hrljax.envs.checks import check_types
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, first_numbers
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.solvers.model import Model
 
-State = TypeVar("State", bound=Any)
-Params = TypeVar("Params", bound=Any)
-
 _RESET_STREAM = 1
 
 
-def concrete_params(params: Any) -> Any:
+def concrete_params(params: Params) -> Params:
     """The numbers of an environment as float32 and int constants, where they are not traced.
 
     Arithmetic on them then gives the bits that it gives on traced arrays.
@@ -42,7 +40,7 @@ def concrete_params(params: Any) -> Any:
     return params._replace(**{field: concrete_number(field, value) for field, value in params._asdict().items()})
 
 
-def concrete_number(field: str, value: Any) -> Any:
+def concrete_number(field: str, value: float | Array) -> int | np.float32 | Array:
     """One of the numbers of an environment, as `concrete_params` gives it."""
     if field == "max_steps":
         return checks.integer(f"env.{field}", value, 1, may_be_traced=True)
@@ -51,7 +49,7 @@ def concrete_number(field: str, value: Any) -> Any:
     return value if isinstance(value, Tracer) else np.float32(value)
 
 
-def numbers_of(env: "AnyEnvironment", params: Any) -> Any:
+def numbers_of(env: "Environment[State, Params]", params: Params | None) -> Params:
     """The numbers of an environment, its default ones if None, as `concrete_params` gives them.
 
     Raises:
@@ -60,7 +58,7 @@ def numbers_of(env: "AnyEnvironment", params: Any) -> Any:
     default = env.default_params
     if params is None:
         return concrete_params(default)
-    if not isinstance(params, tuple) or getattr(params, "_fields", None) != default._fields:
+    if not isinstance(params, tuple) or getattr(params, "_fields", None) != tuple(default._asdict()):
         raise TypeError(
             f"params must be a {type(default).__name__}, the numbers of {env.name}, such as "
             f"env.default_params._replace(max_steps=5), got {checks.described(params)}"
@@ -68,7 +66,7 @@ def numbers_of(env: "AnyEnvironment", params: Any) -> Any:
     return concrete_params(params)
 
 
-def check_options(env: object, options: Mapping[str, tuple[Any, ...]]) -> None:
+def check_options(env: object, options: Mapping[str, tuple[object, ...]]) -> None:
     """Raises ValueError unless each attribute of `env` that `options` names has one of its values."""
     for option, allowed in options.items():
         checks.choice(option, getattr(env, option), allowed)
@@ -81,53 +79,27 @@ def check_render_mode(env: "AnyEnvironment", mode: object) -> None:
         raise ValueError(f"render mode must be one of {allowed}; got {mode!r}")
 
 
-class Environment(ABC, Generic[State, Params]):
+class Renderer(Protocol):
+    """A module that draws the states of an environment."""
+
+    def text(self, env: object, state: object, /) -> str: ...
+    def rgb_array(self, env: object, state: object, /) -> np.ndarray: ...  # [H, W, 3] uint8
+
+
+class Environment(Dynamics[State, Params]):
     """An episodic environment with a finite set of actions.
 
-    Instances are immutable and compare by value, so that two equal ones share compiled code.
-    Every state has an int32 field `time`, the number of steps taken in the episode.
+    What an author writes is `default_params`, `observation`, `observation_space`, and the attributes and methods of
+    `hrljax.core.environment.Dynamics`: `name`, `action_names`, `initial`, `transition` and so on.
     """
 
-    name: ClassVar[str]
-    action_names: ClassVar[tuple[str, ...]]
-    metrics: ClassVar[tuple[str, ...]] = ()
-    """Names of the events that `transition` counts in its `info`; results report them per episode."""
-    has_loops: ClassVar[bool] = False
-    """Whether `transition` holds loops that change arrays; decides how native loops are compiled."""
-    num_words: ClassVar[int]
-    """Random words that one `transition` uses."""
-    num_initial_words: ClassVar[int]
-    """Random words that one `initial` uses."""
-    is_tabular: ClassVar[bool] = False
-    """Whether it is a `TabularEnvironment`, whose states have numbers."""
     renderer: ClassVar[str | None] = None
-    """A module with ``text(env, state)`` and ``rgb_array(env, state)``; loaded with the first picture."""
-
-    @property
-    def num_actions(self) -> int:
-        return len(self.action_names)
+    """The name of a module that is a `Renderer`; loaded with the first picture."""
 
     @property
     @abstractmethod
     def default_params(self) -> Params:
         """The numbers of the environment as a NamedTuple of floats, with a field `max_steps` (int)."""
-
-    @abstractmethod
-    def initial(self, words: tuple[Array, ...], params: Params) -> State:
-        """The first state of an episode, deterministic in `num_initial_words` words."""
-
-    @abstractmethod
-    def transition(
-        self, state: State, action: Array, words: tuple[Array, ...], params: Params
-    ) -> tuple[State, Array, Array, dict[str, Array]]:
-        """One step, deterministic in `num_words` words.
-
-        Returns:
-            next state; reward (float32, or whatever number, which is taken as one); terminated (bool):
-            the episode ended in the environment itself, not by a limit of steps; info: whether each
-            event in `metrics` happened (bool; or, unless the environment is tabular, how much of it,
-            float32).
-        """
 
     @abstractmethod
     def observation(self, state: State) -> Array:
@@ -155,7 +127,7 @@ class Environment(ABC, Generic[State, Params]):
             ValueError: `mode` is none of `render_modes`.
         """
         check_render_mode(self, mode)
-        module = import_module(str(self.renderer))
+        module = cast(Renderer, import_module(str(self.renderer)))
         return module.text(self, state) if mode == "ansi" else module.rgb_array(self, state)
 
     def reset(self, key: Array, params: Params | None = None) -> tuple[Array, State]:
@@ -166,7 +138,7 @@ class Environment(ABC, Generic[State, Params]):
 
     def step(
         self, key: Array, state: State, action: Array | int, params: Params | None = None
-    ) -> tuple[Array, State, Array, Array, Array, dict[str, Array]]:
+    ) -> tuple[Array, State, Array, Array, Array, Events]:
         """Takes one step: ``obs, state, reward, terminated, truncated, info``. Consumes `key`.
 
         `truncated` holds when ``params.max_steps`` steps were taken without termination. The
@@ -178,42 +150,17 @@ class Environment(ABC, Generic[State, Params]):
         truncated = (state.time >= numbers.max_steps) & ~terminated
         return self.observation(state), state, reward, terminated, truncated, info
 
-    def _checked_action(self, action: Any) -> Array:
+    def _checked_action(self, action: object) -> Array:
         """An action as int32, if it is the number of one."""
         return jnp.asarray(checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True), jnp.int32)
 
 
-class TabularEnvironment(Environment[State, Params]):
-    """An environment whose states have numbers: ``encode`` and ``decode`` convert, time excluded."""
+class TabularEnvironment(Environment[State, Params], TabularDynamics[State, Params]):
+    """An environment whose states have numbers.
 
-    is_tabular = True
-
-    @property
-    @abstractmethod
-    def num_states(self) -> int:
-        """Size of the range of `encode`; some numbers may belong to no state that occurs."""
-
-    @abstractmethod
-    def encode(self, state: State) -> Array:
-        """The number of a state, int32 in ``[0, num_states)``; does not depend on `time`."""
-
-    @abstractmethod
-    def decode(self, index: Array) -> State:
-        """The state of a number, with `time` 0. Inverse of `encode`."""
-
-    @abstractmethod
-    def word_cuts(self, params: Params) -> tuple[tuple[Any, ...], ...]:
-        """For each word of `transition`: the probabilities at which its meaning changes.
-
-        With cuts c1, c2, ... in (0, 1), two words on the same side of every cut (as fractions of
-        their range) must give the same outcome in every state. Cuts of 0 or 1 and repeated cuts
-        are allowed. The exact model rests on it, and so does training: with few kinds of words its
-        steps are looked up. Both check the ends of every kind.
-        """
-
-    @abstractmethod
-    def initial_word_cuts(self, params: Params) -> tuple[tuple[Any, ...], ...]:
-        """The same for the words of `initial`."""
+    An author writes `num_states`, `encode`, `decode`, `word_cuts` and `initial_word_cuts` too, as
+    `hrljax.core.environment.TabularDynamics` says, and no `observation`.
+    """
 
     def hierarchy(self) -> Hierarchy:
         """The standard task hierarchy of this environment."""
@@ -253,7 +200,7 @@ class TabularEnvironment(Environment[State, Params]):
         kinds = WordKinds(contract.initial_word_cuts(self, numbers))
         return np.bincount(first_numbers(self, numbers, kinds), weights=kinds.weights(), minlength=self.num_states)
 
-    def _fixed_numbers(self, params: Params | None) -> Any:
+    def _fixed_numbers(self, params: Params | None) -> Params:
         numbers = numbers_of(self, params)
         if any(isinstance(number, Tracer) for number in numbers):
             raise TypeError(

@@ -1,13 +1,15 @@
 """Whether an environment is what the library takes it for, all at once."""
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import gymnasium
 import jax
 import numpy as np
+from jax import Array
 
-from hrljax.core import checks, contract
+from hrljax.core import checks
+from hrljax.core.environment import Params, State
 from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, numbers_of
 from hrljax.envs.checks import check_declarations, check_types, check_values
 from hrljax.envs.tabular_checks import check_model, check_words
@@ -16,7 +18,7 @@ _STEPS, _REPEATED = 24, 2
 """Steps that are taken from `reset` on; how many of them are repeated, without compilation too."""
 
 
-def check(env: AnyEnvironment, params: Any = None) -> None:
+def check(env: Environment[State, Params], params: Params | None = None) -> None:
     """Checks an environment of one's own, as Gymnasium's ``check_env`` does. Takes some seconds.
 
     Training and exact models refuse what would give them senseless numbers; this looks closer:
@@ -55,14 +57,14 @@ def check(env: AnyEnvironment, params: Any = None) -> None:
     _check_pictures(env, state)
 
 
-def _checked_numbers(env: AnyEnvironment, params: Any) -> Any:
+def _checked_numbers(env: Environment[State, Params], params: Params | None) -> Params:
     default = env.default_params
     if not isinstance(default, tuple) or "max_steps" not in getattr(default, "_fields", ()):
         raise TypeError(f"{env.name}: default_params must be a NamedTuple with a field max_steps, got {default!r}")
     return numbers_of(env, params)
 
 
-def _check_steps(env: AnyEnvironment, params: Any) -> Any:
+def _check_steps(env: Environment[State, Params], params: Params) -> State:
     """Checks `reset` and `step`; returns a state."""
     reset, step = jax.jit(partial(env.reset, params=params)), jax.jit(partial(env.step, params=params))
     keys = jax.random.split(jax.random.key(0), _STEPS + 1)
@@ -87,12 +89,14 @@ def _check_steps(env: AnyEnvironment, params: Any) -> Any:
     return state
 
 
-def _types(values: Any) -> Any:
+def _types(values: object) -> object:
     return [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(values)], jax.tree.structure(values)
 
 
-def _check_same(env: AnyEnvironment, name: str, expected: Any, method: Any, *arguments: Any) -> None:
-    """Raises unless a method leads, twice and uncompiled, to what it led to compiled."""
+def _check_same(
+    env: AnyEnvironment, name: str, expected: object, method: Callable[..., object], *arguments: object
+) -> None:
+    """Raises unless a method, called twice without compilation, returns what it returned compiled (`expected`)."""
     for _ in range(2):
         one, other = (jax.tree_util.tree_flatten_with_path(values)[0] for values in (expected, method(*arguments)))
         for (path, value), (_, repeated) in zip(one, other, strict=True):
@@ -104,7 +108,7 @@ def _check_same(env: AnyEnvironment, name: str, expected: Any, method: Any, *arg
                 )
 
 
-def _check_observation(env: AnyEnvironment, observation: Any) -> None:
+def _check_observation(env: AnyEnvironment, observation: Array) -> None:
     from hrljax.envs.numpy_values import as_element  # adapters are loaded with their first use
 
     space = env.observation_space
@@ -115,13 +119,13 @@ def _check_observation(env: AnyEnvironment, observation: Any) -> None:
         fits = space.contains(element)
     except (TypeError, ValueError, KeyError, AttributeError):
         element, fits = np.nan, False
-    # Of a number or an array, so that nothing is lost where its type is changed to the space's.
+    # The space's type must lose nothing of a number or an array; what a Dict or a Tuple holds is not compared.
     is_exact = isinstance(space, gymnasium.spaces.Dict | gymnasium.spaces.Tuple) or np.array_equal(element, observation)
     if not (fits and is_exact):
         raise ValueError(f"{env.name}: observation must return an element of {space}, got {observation}")
 
 
-def _check_pictures(env: AnyEnvironment, state: Any) -> None:
+def _check_pictures(env: Environment[State, Params], state: State) -> None:
     for mode in env.render_modes:
         try:
             picture = env.render(state, mode)
@@ -131,9 +135,9 @@ def _check_pictures(env: AnyEnvironment, state: Any) -> None:
                 f"got {env.renderer!r}: {error}"
             ) from error
         if mode == "ansi" and not isinstance(picture, str):
-            raise TypeError(f"{env.name}: render must return a str for 'ansi', got {contract.described(picture)}")
+            raise TypeError(f"{env.name}: render must return a str for 'ansi', got {checks.type_in_words(picture)}")
         if mode == "rgb_array":
             shape, dtype = np.shape(picture), getattr(picture, "dtype", None)
             if dtype != np.uint8 or len(shape) != 3 or shape[-1] != 3:
-                got = contract.described(picture)
+                got = checks.type_in_words(picture)
                 raise TypeError(f"{env.name}: render must return uint8 of shape [H, W, 3] for 'rgb_array', got {got}")

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,8 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from hrljax.core import contract
+from hrljax.core import checks, contract
+from hrljax.core.environment import AnyDynamics, EpisodeState, Numbers, Words, is_tabular
 from hrljax.envs.once import once_per_environment
 from hrljax.envs.outcomes import check_computed_outcomes, few_outcomes, outcome_table
 from hrljax.envs.sampled import check_sampled_steps
@@ -22,17 +22,17 @@ RESERVED = ("return", "length", "truncated", "steps", "greedy_return", "learned"
 
 
 def check_before_training(
-    env: Any, params: Any, swept: Mapping[str, Sequence[float]] | None = None, sample: bool = True
+    env: AnyDynamics, params: Numbers, swept: Mapping[str, Sequence[float]] | None = None, sample: bool = True
 ) -> None:
     """Raises for an environment of a user's own that cannot be trained in, or only with senseless results.
 
-    The library's own environments are checked by its tests, for some take long to trace.
+    Environments of the library are skipped: its tests check them, and some take long to trace.
 
     Args:
         env: the environment.
-        params: its numbers, as from `concrete_params`; what is traced is not known.
+        params: its numbers, as from `concrete_params`; traced ones have no value to look at.
         swept: values by the names of numbers that differ from run to run.
-        sample: whether to act at random where outcomes are too many to look at each.
+        sample: whether to try random episodes where outcomes are too many to look at each.
 
     Raises:
         TypeError, ValueError: as `hrljax.check`.
@@ -52,12 +52,12 @@ def check_before_training(
 
 
 @once_per_environment(64)
-def check_values(env: Any, points: tuple[Any, ...], sample: bool) -> None:
+def check_values(env: AnyDynamics, points: tuple[Numbers, ...], sample: bool) -> None:
     """Raises for a state, a reward or an event that makes no sense, under any of several `params`.
 
-    Looks at every outcome where they are few, else at what comes of acting at random (if `sample`).
+    Looks at every outcome where they are few, else at random episodes (if `sample`).
     """
-    if env.is_tabular:
+    if is_tabular(env):
         if len(points) == 1 and outcome_table(env, points[0]) is not None:
             return
         if all(few_outcomes(env, point) for point in points):
@@ -67,7 +67,7 @@ def check_values(env: Any, points: tuple[Any, ...], sample: bool) -> None:
         check_sampled_steps(env, points)
 
 
-def check_declarations(env: Any) -> None:
+def check_declarations(env: AnyDynamics) -> None:
     """Raises unless the attributes of an environment are what `hrljax.envs.base` says."""
     owner = type(env).__name__
     if not isinstance(name := getattr(env, "name", None), str):
@@ -81,58 +81,62 @@ def check_declarations(env: Any) -> None:
     for name in env.metrics:
         if name in RESERVED or list(env.metrics).count(name) > 1:
             raise ValueError(f"{owner}: metrics must be different names, none of {', '.join(RESERVED)}; got {name!r}")
-    for option, least in (("num_words", 0), ("num_initial_words", 0), *([("num_states", 1)] if env.is_tabular else [])):
+    for option, least in (
+        ("num_words", 0),
+        ("num_initial_words", 0),
+        *([("num_states", 1)] if is_tabular(env) else []),
+    ):
         count = getattr(env, option, None)
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < least:
             raise TypeError(f"{owner}: {option} must be an integer of at least {least}, got {count!r}")
 
 
-def check_types(env: Any, params: Any) -> None:
+def check_types(env: AnyDynamics, params: Numbers) -> None:
     """Raises unless an environment's methods run compiled and return what `hrljax.envs.base` says.
 
     Args:
         env: the environment.
-        params: its numbers; what is traced or a `jax.ShapeDtypeStruct` is not known.
+        params: its numbers; traced ones and `jax.ShapeDtypeStruct`s have a type only.
     """
     unknown = {n: jax.ShapeDtypeStruct(v.shape, v.dtype) for n, v in params._asdict().items() if _is_unknown(v)}
     _check_types(env, params._replace(**unknown))
 
 
-def _is_unknown(value: Any) -> bool:
+def _is_unknown(value: object) -> bool:
     return isinstance(value, Tracer | jax.ShapeDtypeStruct)
 
 
 @once_per_environment(64)
-def _check_types(env: Any, params: Any) -> None:
+def _check_types(env: AnyDynamics, params: Numbers) -> None:
     check_declarations(env)
     word, number = jax.ShapeDtypeStruct((), jnp.uint32), jax.ShapeDtypeStruct((), jnp.int32)
 
-    def use(unknown: Any, words: Any, initial_words: Any, action: Array, index: Array) -> None:
+    def use(unknown: dict[str, Array], words: Words, initial_words: Words, action: Array, index: Array) -> None:
         numbers = params._replace(**unknown)
         first = contract.initial(env, initial_words, numbers)
         _check_time(env, first)
-        if env.is_tabular:
+        if is_tabular(env):
             before = contract.decode(env, index)
             _check_alike(f"{env.name}: decode", first, before)
         else:
             before = first
         after, *_ = contract.transition(env, before, action, words, numbers)
         _check_alike(f"{env.name}: transition", first, after)
-        if env.is_tabular:
+        if is_tabular(env):
             contract.encode(env, after)
 
     unknown = {name: value for name, value in params._asdict().items() if _is_unknown(value)}
     jax.eval_shape(use, unknown, (word,) * env.num_words, (word,) * env.num_initial_words, number, number)
 
 
-def _check_time(env: Any, state: Any) -> None:
+def _check_time(env: AnyDynamics, state: EpisodeState) -> None:
     time = getattr(state, "time", None)
     if not isinstance(time, jax.Array) or time.shape or time.dtype != jnp.int32:
-        got = contract.described(time)
+        got = checks.type_in_words(time)
         raise TypeError(f"{env.name}: every state must have a field time (int32, steps taken), got {got} from initial")
 
 
-def _check_alike(where: str, first: Any, other: Any) -> None:
+def _check_alike(where: str, first: EpisodeState, other: EpisodeState) -> None:
     """Raises unless two states have the same fields of the same types."""
     if jax.tree.structure(first) != jax.tree.structure(other):
         raise TypeError(f"{where} must return {_fields(first)}, as initial does, got {_fields(other)}")
@@ -141,11 +145,11 @@ def _check_alike(where: str, first: Any, other: Any) -> None:
         if (expected.shape, expected.dtype) != (got.shape, got.dtype):
             field = jax.tree_util.keystr(path).lstrip(".")
             raise TypeError(
-                f"{where} must return a state with {contract.described(expected)} as {field}, as initial does, "
-                f"got {contract.described(got)}"
+                f"{where} must return a state with {checks.type_in_words(expected)} as {field}, as initial does, "
+                f"got {checks.type_in_words(got)}"
             )
 
 
-def _fields(state: Any) -> str:
+def _fields(state: EpisodeState) -> str:
     paths = [jax.tree_util.keystr(path).lstrip(".") for path, _ in jax.tree_util.tree_flatten_with_path(state)[0]]
     return f"a {type(state).__name__} of {', '.join(paths) or 'nothing'}"

@@ -1,12 +1,14 @@
-"""Values of the environments as Gymnasium wants them: NumPy's and Python's, in new memory."""
+"""Values of the environments in the types that Gymnasium expects: Python numbers, and NumPy arrays as copies."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 from gymnasium import spaces
 
 from hrljax.envs.base import AnyEnvironment
+
+T = TypeVar("T")
 
 METADATA = {"render_modes": ["ansi", "rgb_array"], "render_fps": 4}
 
@@ -29,8 +31,8 @@ def as_element(space: spaces.Space[Any], value: Any) -> Any:
     return array[()] if isinstance(space, spaces.Discrete) else array
 
 
-def as_python(value: np.ndarray) -> Any:
-    """A scalar as Python's, an array as a copy."""
+def as_python(value: np.ndarray) -> bool | int | float | np.ndarray:
+    """A scalar as a Python number, an array as a copy."""
     return value.item() if np.ndim(value) == 0 else np.array(value)
 
 
@@ -39,6 +41,6 @@ def widened(values: np.ndarray) -> np.ndarray:
     return np.array(values, _WIDE[values.dtype.kind])
 
 
-def entry(batch: Any, index: int) -> Any:
+def entry(batch: T, index: int) -> T:
     """One entry of a pytree of batched arrays."""
     return jax.tree.map(lambda leaf: leaf[index], batch)

@@ -1,8 +1,11 @@
-"""Which states of a tabular environment can occur, and whether what follows from them makes sense."""
+"""Which states of a tabular environment can occur, and whether their outcomes make sense."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jax import Array
+
+from hrljax.core.environment import AnyTabularDynamics
 
 
 class Outcomes(NamedTuple):
@@ -14,9 +17,9 @@ class Outcomes(NamedTuple):
 
 
 def check_outcomes(
-    env: Any, outcomes: Outcomes, firsts: np.ndarray, renumbered: np.ndarray
+    env: AnyTabularDynamics, outcomes: Outcomes, firsts: np.ndarray, renumbered: np.ndarray
 ) -> tuple[Outcomes, np.ndarray]:
-    """Raises for an outcome that makes no sense, of a state that occurs.
+    """Raises if a state that occurs has an outcome that makes no sense.
 
     Args:
         env: the environment.
@@ -25,8 +28,8 @@ def check_outcomes(
         renumbered: ``[S]`` int32, ``encode(decode(i))`` of every number i.
 
     Returns:
-        The outcomes, where those of other states that make no sense end the episode with reward 0;
-        ``[S]`` bool: states that occur and in which the episode goes on.
+        The outcomes; senseless ones of states that do not occur are replaced by an end of the episode
+        with reward 0. ``[S]`` bool: states that occur and in which the episode goes on.
 
     Raises:
         ValueError: a next state without a number, a reward that is not finite, or a number that decodes
@@ -53,7 +56,7 @@ def check_outcomes(
     return outcomes, goes_on
 
 
-def reached(env: Any, outcomes: Outcomes, firsts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reached(env: AnyTabularDynamics, outcomes: Outcomes, firsts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``[S]`` bool each: states in which an episode can go on, and those in which one can end."""
     goes_on, ends = np.zeros((2, env.num_states), np.bool_)
     latest = np.unique(firsts)
@@ -73,18 +76,19 @@ def reached(env: Any, outcomes: Outcomes, firsts: np.ndarray) -> tuple[np.ndarra
     return goes_on, ends
 
 
-def check_range(env: Any, firsts: np.ndarray) -> None:
-    """Raises for a state in which an episode begins and that has no number."""
+def check_range(env: AnyTabularDynamics, firsts: np.ndarray) -> None:
+    """Raises if an episode begins in a state without a number."""
     wrong = firsts[outside(env, firsts)]
     if len(wrong):
         raise ValueError(f"{env.name}: {allowed_numbers(env)}, got {wrong[0]} for a state that initial returns")
 
 
-def outside(env: Any, numbers: np.ndarray) -> np.ndarray:
-    """Which of some numbers (of any shape) are those of no state."""
-    return (numbers < 0) | (numbers >= env.num_states)
+def outside(env: AnyTabularDynamics, numbers: np.ndarray | Array) -> np.ndarray:
+    """Which numbers, an array of any shape, belong to no state (bool)."""
+    values = np.asarray(numbers)
+    return (values < 0) | (values >= env.num_states)
 
 
-def allowed_numbers(env: Any) -> str:
-    """What `encode` must do, for a message."""
+def allowed_numbers(env: AnyTabularDynamics) -> str:
+    """The part of an error message that says what `encode` must return."""
     return f"encode must return a number in 0..{env.num_states - 1}"

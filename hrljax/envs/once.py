@@ -1,18 +1,18 @@
-"""Results that are made once in a process for each environment."""
+"""Results that are computed once in a process for each environment."""
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def once_per_environment(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """As `functools.lru_cache`, but arguments without a hash are no error: what they lead to is made each time."""
+    """`functools.lru_cache`, but with arguments that have no hash the function is called every time."""
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
-        cached: Any = lru_cache(maxsize)(function)
+        cached = lru_cache(maxsize)(function)
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:

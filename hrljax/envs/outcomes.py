@@ -1,8 +1,8 @@
-"""Everything that may come of an action, by running an environment on one random word of every kind."""
+"""All outcomes of every action, computed by running an environment on one random word of every kind."""
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,40 +11,41 @@ from jax import Array
 from jax.core import Tracer
 
 from hrljax.core import contract, random
+from hrljax.core.environment import AnyTabularDynamics, Numbers, Params, State, TabularDynamics, Words
 from hrljax.core.numerics import stage, take
 from hrljax.envs.occurring import Outcomes, check_outcomes, check_range
 from hrljax.envs.once import once_per_environment
 from hrljax.envs.word_kinds import WordKinds
 
 _MOST_CUTS = 64
-"""More comparisons of random words than these cost what the table saves."""
+"""With more cuts, comparing random words with them costs more than the table saves."""
 _MOST_ENTRIES = 1 << 20
 """A larger table does not stay in a core's cache, and takes long to make."""
 _RANDOM_BEGINNINGS = 1 << 14
-"""Beginnings that are looked at where their kinds are more than `_MOST_ENTRIES`."""
+"""Random first states that are looked at where the kinds of initial words are more than `_MOST_ENTRIES`."""
 
 
 class Enumerated(NamedTuple):
-    """Everything that may come of an environment."""
+    """All outcomes of an environment."""
 
     kinds: WordKinds
     outcomes: Outcomes
     occurs: np.ndarray  # [S] bool: states that can occur and in which the episode goes on
 
 
-def enumerate_outcomes(env: Any, params: Any) -> Enumerated:
-    """The outcomes of a tabular environment, by its own `transition`; `params` as from `concrete_params`.
+def enumerate_outcomes(env: AnyTabularDynamics, params: Numbers) -> Enumerated:
+    """All outcomes of a tabular environment's `transition`; `params` as from `concrete_params`.
 
-    The last ones are kept, if they are few: a table of steps and an exact model are made of the same.
+    If they are few they are cached, because both the table of steps and the exact model are made of them.
 
     Raises:
         ValueError: an outcome of a state that occurs makes no sense, see `check_outcomes`, or two words
             of one kind differ in what they lead to, so that `word_cuts` lacks a cut.
     """
-    return (_kept_outcomes if few_outcomes(env, params) else _enumerate)(env, params)
+    return (_cached_outcomes if few_outcomes(env, params) else _enumerate)(env, params)
 
 
-def _enumerate(env: Any, params: Any) -> Enumerated:
+def _enumerate(env: AnyTabularDynamics, params: Numbers) -> Enumerated:
     kinds = WordKinds(contract.word_cuts(env, params))
     steps = jax.jit(partial(_numbered_steps, env, kinds.count, params))
     ends = kinds.first_words(), kinds.last_words()
@@ -62,14 +63,14 @@ def _enumerate(env: Any, params: Any) -> Enumerated:
     return Enumerated(kinds, outcomes, occurs)
 
 
-_kept_outcomes = once_per_environment(2)(_enumerate)
+_cached_outcomes = once_per_environment(2)(_enumerate)
 
 
-def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
+def check_computed_outcomes(env: AnyTabularDynamics, points: Sequence[Numbers]) -> None:
     """Raises for an outcome that makes no sense under any of several `params`, as `enumerate_outcomes` does.
 
-    Compiles once for all of them. Words that differ within their kind are no error: this is for steps
-    that are computed, not looked up.
+    Compiles once for all of them. Words of one kind may differ in what they lead to: that only matters
+    for steps that are looked up, and this is for steps that are computed.
     """
     kinds = [WordKinds(contract.word_cuts(env, params)) for params in points]
     initial_kinds = [WordKinds(contract.initial_word_cuts(env, params)) for params in points]
@@ -77,11 +78,11 @@ def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
     limit = points[0].max_steps
 
     @jax.jit
-    def steps(numbers: Any, words: tuple[Array, ...]) -> Any:
+    def steps(numbers: Numbers, words: Words) -> tuple[Array, Array, Array]:
         return _numbered_steps(env, most, numbers._replace(max_steps=limit), *_pairs(env), words)
 
     @jax.jit
-    def firsts(numbers: Any, words: tuple[Array, ...]) -> Array:
+    def firsts(numbers: Numbers, words: Words) -> Array:
         return _numbered_firsts(env, most_initial, numbers._replace(max_steps=limit), words)
 
     renumbered = _renumbered(env)
@@ -92,7 +93,7 @@ def check_computed_outcomes(env: Any, points: Sequence[Any]) -> None:
             check_outcomes(env, outcomes, begins, renumbered)
 
 
-def first_numbers(env: Any, params: Any, kinds: WordKinds) -> np.ndarray:
+def first_numbers(env: AnyTabularDynamics, params: Numbers, kinds: WordKinds) -> np.ndarray:
     """``[N]`` int32: the number of the first state, for each kind of the words of `initial`.
 
     Raises:
@@ -112,8 +113,8 @@ def first_numbers(env: Any, params: Any, kinds: WordKinds) -> np.ndarray:
     return numbers
 
 
-def _some_first_numbers(env: Any, params: Any) -> np.ndarray:
-    """The numbers of all first states; where the kinds of words are too many, of those that random words lead to."""
+def _some_first_numbers(env: AnyTabularDynamics, params: Numbers) -> np.ndarray:
+    """The numbers of all first states, or of `_RANDOM_BEGINNINGS` random ones if there are too many kinds."""
     kinds = WordKinds(contract.initial_word_cuts(env, params))
     if kinds.count <= _MOST_ENTRIES:
         return first_numbers(env, params, kinds)
@@ -132,29 +133,29 @@ def _padded(words: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]
     return tuple(np.resize(word, count) for word in words)
 
 
-def _pairs(env: Any) -> tuple[Array, Array]:
+def _pairs(env: AnyTabularDynamics) -> tuple[Array, Array]:
     """All states ``[S]`` and all actions ``[A]``, int32."""
     return jnp.arange(env.num_states, dtype=jnp.int32), jnp.arange(env.num_actions, dtype=jnp.int32)
 
 
-def _renumbered(env: Any) -> np.ndarray:
-    """``[S]`` int32: the number of the state that each number means."""
+def _renumbered(env: AnyTabularDynamics) -> np.ndarray:
+    """``[S]`` int32: ``encode(decode(i))`` of every number i."""
     again = jax.jit(jax.vmap(lambda number: contract.encode(env, contract.decode(env, number))))
     with jax.ensure_compile_time_eval():
         return np.asarray(again(_pairs(env)[0]))
 
 
-def _numbered_firsts(env: Any, count: int, params: Any, words: tuple[Array, ...]) -> Array:
+def _numbered_firsts(env: AnyTabularDynamics, count: int, params: Numbers, words: Words) -> Array:
     """``[N]``: the numbers of the first states that words of `initial`, each ``[N]``, lead to."""
 
-    def first(words: tuple[Array, ...]) -> Array:
+    def first(words: Words) -> Array:
         return contract.encode(env, contract.initial(env, words, params))
 
     return jax.vmap(first, axis_size=count)(words)
 
 
 def _numbered_steps(
-    env: Any, count: int, params: Any, states: Array, actions: Array, words: tuple[Array, ...]
+    env: AnyTabularDynamics, count: int, params: Numbers, states: Array, actions: Array, words: Words
 ) -> tuple[Array, Array, Array]:
     """`numbered_step` from states ``[S]`` by actions ``[A]`` with words, each ``[N]``: arrays ``[S, A, N]``."""
     over_words = jax.vmap(partial(numbered_step, env, params), (None, None, 0), axis_size=count)
@@ -163,7 +164,7 @@ def _numbered_steps(
 
 
 def numbered_step(
-    env: Any, params: Any, state: Array, action: Array, words: tuple[Array, ...]
+    env: TabularDynamics[State, Params], params: Params, state: Array, action: Array, words: Words
 ) -> tuple[Array, Array, Array]:
     """One step of a tabular environment in the numbers of its states: next state, reward, flags as in `Outcomes`."""
     after, reward, flags = flagged_step(env, params, contract.decode(env, state), action, words)
@@ -171,8 +172,8 @@ def numbered_step(
 
 
 def flagged_step(
-    env: Any, params: Any, state: Any, action: Array, words: tuple[Array, ...]
-) -> tuple[Any, Array, Array]:
+    env: TabularDynamics[State, Params], params: Params, state: State, action: Array, words: Words
+) -> tuple[State, Array, Array]:
     """One step of a tabular environment: next state, reward, flags as in `Outcomes`."""
     after, reward, terminated, info = contract.transition(env, state, action, words, params)
     flags = terminated.astype(jnp.int32)
@@ -204,11 +205,11 @@ class OutcomeTable:
         self.fits = packed.max() < 1 << 31
         smallest = np.uint16 if packed.max() < 1 << 16 else np.int32
         entries = np.moveaxis(packed, -1, 0).astype(smallest).ravel()
-        # Of a table as long as a power of two, a mask keeps every index inside; a clamp takes longer.
+        # With a power of two as its length, a mask keeps every index inside; a clamp would take longer.
         self.entries = np.pad(entries, (0, (1 << (len(entries) - 1).bit_length()) - len(entries)))
         self._entry = stage(self._read)
 
-    def place(self, words: tuple[Array, ...]) -> Array:
+    def place(self, words: Words) -> Array:
         """Where the entries begin that hold for an environment's words (int32 of their shape)."""
         return self._kinds.number(words) * np.int32(self._num_pairs)
 
@@ -223,7 +224,7 @@ class OutcomeTable:
         return rest >> self._reward_bits, reward, flags
 
 
-def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
+def outcome_table(env: AnyTabularDynamics, params: Numbers) -> OutcomeTable | None:
     """The steps of a tabular environment as a table; None if it would be large or its numbers are traced.
 
     Made once in a process for an environment and its numbers.
@@ -233,7 +234,7 @@ def outcome_table(env: Any, params: Any) -> OutcomeTable | None:
     return _cached_table(env, params)
 
 
-def _table(env: Any, params: Any) -> OutcomeTable | None:
+def _table(env: AnyTabularDynamics, params: Numbers) -> OutcomeTable | None:
     cuts = contract.word_cuts(env, params)
     if sum(map(len, cuts)) > _MOST_CUTS:
         return None
@@ -244,7 +245,7 @@ def _table(env: Any, params: Any) -> OutcomeTable | None:
     return table if table.fits else None
 
 
-def few_outcomes(env: Any, params: Any) -> bool:
+def few_outcomes(env: AnyTabularDynamics, params: Numbers) -> bool:
     """Whether a tabular environment has few enough outcomes and beginnings to look at each of them."""
     outcomes = env.num_states * env.num_actions * WordKinds(contract.word_cuts(env, params)).count
     return max(outcomes, WordKinds(contract.initial_word_cuts(env, params)).count) <= _MOST_ENTRIES

@@ -47,7 +47,7 @@ def registered() -> tuple[str, ...]:
     return tuple(sorted(_ENVIRONMENTS))
 
 
-def make(name: str, **options: Any) -> Any:
+def make(name: str, **options: object) -> Any:
     """An environment by name, for example ``make("Bus", site="cell")``.
 
     Raises:
@@ -61,7 +61,7 @@ def make(name: str, **options: Any) -> Any:
     return _ENVIRONMENTS[name](**options)
 
 
-def _check_options_known(name: str, options: dict[str, Any]) -> None:
+def _check_options_known(name: str, options: dict[str, object]) -> None:
     """Raises TypeError for an option that the environment does not have; says so if it is one of its numbers."""
     parameters = inspect.signature(_ENVIRONMENTS[name]).parameters
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):

@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from hrljax.core import checks
+from hrljax.core.environment import Cuts, Events, Words
 from hrljax.core.numerics import take, take_row
 from hrljax.core.random import WORD_RANGE
 from hrljax.envs.base import TabularEnvironment
@@ -116,19 +117,19 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
     def decode(self, index: Array) -> TableState:
         return TableState(jnp.asarray(index, jnp.int32), jnp.int32(0))
 
-    def initial(self, words: tuple[Array, ...], params: TableParams) -> TableState:
+    def initial(self, words: Words, params: TableParams) -> TableState:
         states, firsts = self.table.initial_words()
         return self.decode(take(jnp.asarray(states), _number_of_outcome(words[0], jnp.asarray(firsts))))
 
-    def initial_word_cuts(self, params: TableParams) -> tuple[tuple[float, ...], ...]:
+    def initial_word_cuts(self, params: TableParams) -> Cuts:
         return (_cuts(self.table.initial_words()[1]),)
 
-    def word_cuts(self, params: TableParams) -> tuple[tuple[float, ...], ...]:
+    def word_cuts(self, params: TableParams) -> Cuts:
         return (_cuts(self.table.outcome_words()),)
 
     def transition(
-        self, state: TableState, action: Array, words: tuple[Array, ...], params: TableParams
-    ) -> tuple[TableState, Array, Array, dict[str, Array]]:
+        self, state: TableState, action: Array, words: Words, params: TableParams
+    ) -> tuple[TableState, Array, Array, Events]:
         model, firsts = self.table.model, self.table.outcome_words()
         pair, count = state.number * self.num_actions + action, firsts.shape[-1]
         row = take_row(jnp.asarray(firsts.ravel()), pair * count, count) if count else jnp.zeros(0, jnp.uint32)
@@ -150,9 +151,9 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:
-    own = np.array(array)
-    own.flags.writeable = False
-    return own
+    copy = np.array(array)
+    copy.flags.writeable = False
+    return copy
 
 
 def _first_words(probability: np.ndarray) -> np.ndarray:

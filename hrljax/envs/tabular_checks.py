@@ -1,18 +1,26 @@
 """A tabular environment against its exact model: what random words lead to, and how often."""
 
 from collections import Counter
+from collections.abc import Hashable, Mapping
 from functools import partial
-from typing import Any
+from typing import Literal, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.tree_util import KeyPath
 
 from hrljax.core import contract
+from hrljax.core.environment import EpisodeState, Numbers, State, Words
+from hrljax.envs.base import AnyTabularEnvironment, TabularEnvironment
 from hrljax.envs.occurring import Outcomes, reached
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, few_outcomes, first_numbers, flagged_step
 from hrljax.solvers.model import Model
+
+T = TypeVar("T", bound=Hashable)
+Outcome: TypeAlias = tuple[int | Literal["any"], float, bool]
+"""Next state ("any" where the episode ends), reward, and whether it ends."""
 
 _LATER = 7
 """Steps by which a state is made older."""
@@ -20,10 +28,10 @@ _TRIED_STEPS, _TRIED_BEGINNINGS = 1 << 14, 1 << 14
 _PAIRS, _STEPS_OF_PAIR = 16, 10_000
 
 
-def check_words(env: Any, params: Any) -> None:
+def check_words(env: AnyTabularEnvironment, params: Numbers) -> None:
     """Raises unless steps with random words are those of the model, whatever the time, and `decode` inverts `encode`.
 
-    Where an environment has too many outcomes to enumerate, there is nothing to compare with.
+    An environment with too many outcomes to enumerate is not checked.
     """
     if not few_outcomes(env, params):
         return
@@ -62,13 +70,13 @@ def check_words(env: Any, params: Any) -> None:
     )
 
 
-def _check_beginnings(env: Any, params: Any, generator: np.random.Generator) -> None:
+def _check_beginnings(env: AnyTabularEnvironment, params: Numbers, generator: np.random.Generator) -> None:
     """Raises unless random words of `initial` lead where those of their kind lead."""
     kinds = WordKinds(contract.initial_word_cuts(env, params))
     firsts = first_numbers(env, params, kinds)
     kind, words = _words(generator, kinds, _TRIED_BEGINNINGS)
 
-    def begin(words: tuple[Array, ...]) -> Array:
+    def begin(words: Words) -> Array:
         return contract.encode(env, contract.initial(env, words, params))
 
     begins = np.asarray(jax.jit(jax.vmap(begin, axis_size=_TRIED_BEGINNINGS))(words))
@@ -80,9 +88,9 @@ def _check_beginnings(env: Any, params: Any, generator: np.random.Generator) -> 
         )
 
 
-def check_model(env: Any, params: Any) -> None:
+def check_model(env: AnyTabularEnvironment, params: Numbers) -> None:
     """Raises unless `reset` and `step` happen as often as `initial_distribution` and `model` say."""
-    if type(env).model is _derived_model(type(env)) and not few_outcomes(env, params):
+    if type(env).model is TabularEnvironment.model and not few_outcomes(env, params):
         return
     model, starts = env.model(params), env.initial_distribution(params)
     _check_distribution(env, "model", model.probability, (env.num_states, env.num_actions))
@@ -101,7 +109,7 @@ def check_model(env: Any, params: Any) -> None:
     keys = jax.random.split(jax.random.key(2), _STEPS_OF_PAIR)
     for state, action in _pairs_to_try(env, model, starts):
         seen = Counter(map(_outcome, *(part.tolist() for part in map(np.asarray, step(keys, state, action)))))
-        expected: Counter[Any] = Counter()
+        expected: Counter[Outcome] = Counter()
         fields = (model.next_state, model.reward.astype(np.float32), model.terminated, model.probability)
         for *outcome, probability in zip(*(field[state, action].tolist() for field in fields), strict=True):
             expected[_outcome(*outcome)] += probability
@@ -109,25 +117,22 @@ def check_model(env: Any, params: Any) -> None:
         _check_frequencies(where, "next state, reward and end", seen, expected)
 
 
-def _derived_model(owner: type) -> Any:
-    """`TabularEnvironment.model`, found without importing it."""
-    return next(vars(base)["model"] for base in reversed(owner.__mro__) if "model" in vars(base))
-
-
-def _outcome(next_state: int, reward: float, terminated: bool) -> tuple[Any, float, bool]:
-    """An outcome to be counted; rewards may differ in a last bit, and where an episode ends is nobody's concern."""
+def _outcome(next_state: int, reward: float, terminated: bool) -> Outcome:
+    """An outcome as it is counted: rewards rounded to five digits, and no next state where the episode ends."""
     return ("any" if terminated else next_state), float(f"{reward:.5g}"), terminated
 
 
-def _check_distribution(env: Any, method: str, probability: np.ndarray, shape: tuple[int, ...]) -> None:
+def _check_distribution(
+    env: AnyTabularEnvironment, method: str, probability: np.ndarray, shape: tuple[int, ...]
+) -> None:
     if probability.shape[:-1] != shape or not (
         probability.min() >= 0 and np.allclose(probability.sum(-1), 1, atol=1e-6)
     ):
         raise ValueError(f"{env.name}: {method} must give probabilities that are not negative and sum to one")
 
 
-def _check_frequencies(where: str, what: str, seen: Any, expected: Any) -> None:
-    """Raises for an outcome that happened by far too often or too seldom for chance."""
+def _check_frequencies(where: str, what: str, seen: Mapping[T, int], expected: Mapping[T, float]) -> None:
+    """Raises if an outcome happened so often or so seldom that chance cannot explain it."""
     count = sum(seen.values())
     for outcome in {**expected, **seen}:
         times, probability = seen.get(outcome, 0), min(expected.get(outcome, 0.0), 1.0)
@@ -137,7 +142,7 @@ def _check_frequencies(where: str, what: str, seen: Any, expected: Any) -> None:
             raise ValueError(f"{where}, gives {what} {outcome} the probability {probability:.4g}; {happened}")
 
 
-def _pairs_to_try(env: Any, model: Model, starts: np.ndarray) -> list[tuple[int, int]]:
+def _pairs_to_try(env: AnyTabularEnvironment, model: Model, starts: np.ndarray) -> list[tuple[int, int]]:
     """Some states that occur, each with an action: those with many outcomes, and with few."""
     possible = model.probability > 0
     flags = np.where(possible, model.terminated, True).astype(np.int32)
@@ -159,8 +164,10 @@ def _words(generator: np.random.Generator, kinds: WordKinds, count: int) -> tupl
     return kind, tuple(words)
 
 
-def _look_at(env: Any, params: Any, number: Array, action: Array, words: tuple[Array, ...]) -> tuple[Array, ...]:
-    """A step: next state, reward, flags; whether `decode` gives the next state back; whether time is of no concern."""
+def _look_at(
+    env: AnyTabularEnvironment, params: Numbers, number: Array, action: Array, words: Words
+) -> tuple[Array, ...]:
+    """A step: next state, reward, flags; whether `decode` gives the next state back; whether time plays no part."""
     before = contract.decode(env, number)
     older = _older(before)
     after, reward, flags = flagged_step(env, params, before, action, words)
@@ -171,23 +178,23 @@ def _look_at(env: Any, params: Any, number: Array, action: Array, words: tuple[A
     return next_number, reward, flags, _alike(after, contract.decode(env, next_number)), jnp.stack(same).all()
 
 
-def _is_time(path: Any) -> bool:
+def _is_time(path: KeyPath) -> bool:
     return jax.tree_util.keystr(path) in (".time", "['time']")
 
 
-def _older(state: Any) -> Any:
+def _older(state: State) -> State:
     return jax.tree_util.tree_map_with_path(lambda path, leaf: leaf + _LATER if _is_time(path) else leaf, state)
 
 
-def _alike(one: Any, other: Any) -> Array:
+def _alike(one: EpisodeState, other: EpisodeState) -> Array:
     """Whether two states are the same but for their time."""
     leaves = zip(jax.tree_util.tree_flatten_with_path(one)[0], jax.tree.leaves(other), strict=True)
     return jnp.stack([jnp.bool_(True), *((a == b).all() for (path, a), b in leaves if not _is_time(path))]).all()
 
 
-def _text(state: Any) -> str:
+def _text(state: EpisodeState) -> str:
     return repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), state))
 
 
-def _row(words: tuple[np.ndarray, ...], row: Any) -> list[int]:
+def _row(words: tuple[np.ndarray, ...], row: int) -> list[int]:
     return [int(word[row]) for word in words]

@@ -1,21 +1,21 @@
-"""Random words by what they mean to an environment."""
+"""Kinds of random words: an environment treats all words of one kind alike."""
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from hrljax.core import random
+from hrljax.core.environment import Cuts, Words
 
 
 class WordKinds:
-    """The kinds of words that an environment tells apart; a combination has a number, the last word's kind fastest."""
+    """The kinds of an environment's random words; combinations of them are numbered, the last word's kind fastest."""
 
-    def __init__(self, cuts: tuple[tuple[Any, ...], ...]):
-        """Kinds of words with the given cuts, see `TabularEnvironment.word_cuts`."""
-        # A cut above 1 is one that no word reaches.
+    def __init__(self, cuts: Cuts):
+        """The kinds that the given cuts make, see `TabularEnvironment.word_cuts`."""
+        # No word reaches a cut above 1.
         thresholds = ([min(int(random.threshold(cut)), random.WORD_RANGE) for cut in word_cuts] for word_cuts in cuts)
         # Where each word's kinds begin, and where the last one ends.
         self._edges = [np.unique([0, *word_thresholds, random.WORD_RANGE]) for word_thresholds in thresholds]
@@ -40,7 +40,7 @@ class WordKinds:
         """The same for the greatest."""
         return _combined([edges[1:] - 1 for edges in self._edges])
 
-    def number(self, words: tuple[Array, ...]) -> Array:
+    def number(self, words: Words) -> Array:
         """The number of the combination of kinds that the words have, int32 of their shape."""
         number = jnp.zeros_like(words[0], jnp.int32)
         for word, edges in zip(words, self._edges, strict=True):

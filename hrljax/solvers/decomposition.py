@@ -50,14 +50,14 @@ def decompose(process: JointProcess, weights: np.ndarray) -> Decomposed:
 
     reward, completion, exit = np.zeros((3, len(process.row_node)))
     for number in range(process.contexts.size):
-        own = np.flatnonzero(process.context[process.row_node] == number)
-        here = process.context == number
-        caller_goes_on = np.where(here, until_end[number], 0.0)
+        context_rows = np.flatnonzero(process.context[process.row_node] == number)
+        in_context = process.context == number
+        caller_goes_on = np.where(in_context, until_end[number], 0.0)
         after_exit = np.where(below[number], 0.0, whole)
-        later = np.where(here, totals[number].on_leaving(after_exit), after_exit)
-        composite = process.contexts.called[number][process.row_slot[own]]
+        later = np.where(in_context, totals[number].on_leaving(after_exit), after_exit)
+        composite = process.contexts.called[number][process.row_slot[context_rows]]
         for child in np.unique(composite):
-            rows = own[composite == child]
+            rows = context_rows[composite == child]
             if child < 0:
                 reward[rows] = process.reward[rows]
                 completion[rows] = process.follows[rows] @ caller_goes_on

@@ -38,7 +38,7 @@ class Criterion(NamedTuple):
 
 
 class Optima(NamedTuple):
-    """The best policies of a problem: of all, of the hierarchy's, and of subtasks that look no further."""
+    """The best policies of a problem: without a hierarchy, within it, and with each subtask optimal for itself."""
 
     optimal: Criterion
     hierarchical: Criterion

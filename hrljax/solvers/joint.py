@@ -84,14 +84,14 @@ class JointProcess:
         give it the same value (within `tolerance`), as for the only caller, for Q_r of a subtask that
         no caller interrupts, or for everything in Theorem 2's optimum; NaN elsewhere.
         """
-        found = np.full((len(self.hierarchy.subtasks), *values.shape[1:]), np.nan)
+        table = np.full((len(self.hierarchy.subtasks), *values.shape[1:]), np.nan)
         for task in np.unique(self.contexts.task):
             of_callers = values[self.contexts.task == task]
             low = np.min(np.where(np.isnan(of_callers), np.inf, of_callers), axis=0)
             high = np.max(np.where(np.isnan(of_callers), -np.inf, of_callers), axis=0)
             agree = low + tolerance >= high  # also where no caller has a value: inf against -inf
-            found[task] = np.where(agree & np.isfinite(low), low, np.nan)
-        return found
+            table[task] = np.where(agree & np.isfinite(low), low, np.nan)
+        return table
 
     def actions(self, slots: np.ndarray) -> np.ndarray:
         """The primitive action that a choice of slots leads to at once, ``[C, S]`` int; -1 where there is none.
@@ -99,14 +99,14 @@ class JointProcess:
         Args:
             slots: ``[C, S]`` int, one child of every context in every state (`greedy`).
         """
-        found = np.full(self.node.shape, -1)
+        table = np.full(self.node.shape, -1)
         for number in reversed(range(self.contexts.size)):  # the called before their callers
             children = self.hierarchy.subtasks[self.contexts.task[number]].children
             for slot, child in enumerate(children):
                 called = self.contexts.called[number, slot]
-                action = found[called] if called >= 0 else self.hierarchy.actions.index(child)
-                found[number] = np.where((slots[number] == slot) & (self.node[number] >= 0), action, found[number])
-        return found
+                action = table[called] if called >= 0 else self.hierarchy.actions.index(child)
+                table[number] = np.where((slots[number] == slot) & (self.node[number] >= 0), action, table[number])
+        return table
 
     def weights(self, policy: np.ndarray, by: Literal["subtask", "stack"] = "subtask") -> np.ndarray:
         """Probabilities of rows ``[R]`` of a hierarchical policy.
@@ -130,12 +130,12 @@ class JointProcess:
             expected = f"{(num_owners, num_states)} of ints or {(num_owners, num_states, width)}"
             raise ValueError(f"policy by {by} must have shape {expected}, got {policy.shape} of {policy.dtype}")
         at = owner[self.context[self.row_node]], self.state[self.row_node]
-        found = (policy[at] == self.row_slot).astype(np.float64) if slots else policy[(*at, self.row_slot)]
-        total = self.sums(found)
-        if found.min() < 0 or not np.allclose(total, 1, rtol=0, atol=1e-9):
+        weights = (policy[at] == self.row_slot).astype(np.float64) if slots else policy[(*at, self.row_slot)]
+        total = self.sums(weights)
+        if weights.min() < 0 or not np.allclose(total, 1, rtol=0, atol=1e-9):
             worst = self.where(int(np.argmax(np.abs(total - 1))))
             raise ValueError(f"policy: probabilities of the children that may be invoked do not sum to one: {worst}")
-        return found
+        return weights
 
     def uniform(self) -> np.ndarray:
         """Probabilities of rows ``[R]``: every child that may be invoked is equally likely."""
@@ -199,9 +199,9 @@ class Totals:
 
     def of(self, gains: np.ndarray) -> np.ndarray:
         """``[N]``: total of what each visited node inside gives; 0 outside."""
-        found = np.zeros(len(gains))
-        found[self.inside] = self._solver.solve(gains[self.inside])
-        return found
+        totals = np.zeros(len(gains))
+        totals[self.inside] = self._solver.solve(gains[self.inside])
+        return totals
 
     def on_leaving(self, payoff: np.ndarray) -> np.ndarray:
         """``[N]``: discounted payoff of the first node outside; 0 for nodes outside."""
@@ -322,9 +322,9 @@ class _Rows(NamedTuple):
 
 
 def _invoking(node: np.ndarray, slot: int, follows: np.ndarray) -> _Rows:
-    nothing = np.zeros(len(node))
+    zeros = np.zeros(len(node))
     slots = np.full(len(node), slot)
-    return _Rows(node, slots, nothing, nothing, nothing, nothing, np.arange(len(node)), follows, nothing + 1)
+    return _Rows(node, slots, zeros, zeros, zeros, zeros, np.arange(len(node)), follows, zeros + 1)
 
 
 def _stepping(
@@ -339,7 +339,7 @@ def _stepping(
     after, chance = outcomes.next_state, outcomes.probability
     control, goes_on = resumed[after], ~outcomes.terminated
     ended = np.where(goes_on & (control >= 0), 0.0, chance)
-    kept = origin, _ = np.nonzero(goes_on & (control >= 0) & (chance > 0))
+    followed = origin, _ = np.nonzero(goes_on & (control >= 0) & (chance > 0))
     return _Rows(
         node=node,
         slot=np.full(len(node), slot),
@@ -348,6 +348,6 @@ def _stepping(
         ends=ended.sum(-1),
         leaves=np.where(goes_on & (control < 0), chance, 0.0).sum(-1),
         origin=origin,
-        follows=nodes[control[kept], after[kept]],
-        weight=discount * chance[kept],
+        follows=nodes[control[followed], after[followed]],
+        weight=discount * chance[followed],
     )

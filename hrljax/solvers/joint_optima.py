@@ -87,8 +87,8 @@ def _by_sweeps(
         value = updated
         if change.max() <= tolerance * (1 + np.abs(value).max()):
             q = gains + process.follows @ value
-            found = np.where(chooses[process.row_node], _shared(process, _ties(process, q)), start)
-            return Optimum(q, value, found, sweep)
+            weights = np.where(chooses[process.row_node], _shared(process, _ties(process, q)), start)
+            return Optimum(q, value, weights, sweep)
     raise RuntimeError(
         f"{max_sweeps} sweeps were not enough; the value changes in {process.where(int(change.argmax()))}"
     )
@@ -162,7 +162,7 @@ def _made_to_end(
     while True:
         leads = (process.ends > 0) | (positive @ reaches.astype(np.float64) > 0)
         further = reaches | leads[rows]
-        if np.array_equal(further, reaches):  # nothing more ends by itself
+        if np.array_equal(further, reaches):  # no further node reaches an end by the choices so far
             could = process.maxima((leads & allowed).astype(np.float64)) > 0
             helped = could & ~reaches
             if not helped.any():

@@ -127,12 +127,12 @@ def _split(growth: Growth, sample: Sample, waiting: Array, nodes: Array, arrays:
     size = np.int32(2 * growth.cells.num_cells)
     node, start, n, total, depth = take_row(arrays.waiting, slot * 5, 5)
     histogram = take_row(arrays.histograms, slot * size, int(size))
-    found, cell, n_left, sum_left, word, number = _best_test(growth, sample, histogram, n, total)
+    has_test, cell, n_left, sum_left, word, number = _best_test(growth, sample, histogram, n, total)
     word = word | (nodes << np.int32(LEFT_SHIFT))
     old = take(arrays.numbers, sample.base + node)
     arrays = arrays._replace(
-        words=put_row(arrays.words, sample.base + node, lax.select(found, word, jnp.int32(LEAF))[None]),
-        numbers=put_row(arrays.numbers, sample.base + node, lax.select(found, number, old)[None]),
+        words=put_row(arrays.words, sample.base + node, lax.select(has_test, word, jnp.int32(LEAF))[None]),
+        numbers=put_row(arrays.numbers, sample.base + node, lax.select(has_test, number, old)[None]),
     )
     # Without a test these two leaves lie beyond the last node, where the next ones will be.
     arrays = _leaf(sample, arrays, nodes, sum_left, n_left)
@@ -145,7 +145,7 @@ def _split(growth: Growth, sample: Sample, waiting: Array, nodes: Array, arrays:
     node_small = nodes + lax.select(left_smaller, jnp.int32(0), jnp.int32(1))
     sum_small = lax.select(left_smaller, sum_left, total - sum_left)
     deep = depth + 1 >= np.int32(growth.max_depth)
-    large_waits = found & ~deep & (n - n_small >= np.int32(2 * growth.min_leaf))
+    large_waits = has_test & ~deep & (n - n_small >= np.int32(2 * growth.min_leaf))
     small_waits = large_waits & (n_small >= np.int32(2 * growth.min_leaf))
 
     arrays = _partition(growth, sample, arrays, cell, start, start + lax.select(large_waits, n, jnp.int32(0)))
@@ -153,7 +153,7 @@ def _split(growth: Growth, sample: Sample, waiting: Array, nodes: Array, arrays:
     arrays = _wait(arrays, slot + 1, node_small, start_small, n_small, sum_small, depth + 1)
     arrays = _share(growth, sample, arrays, slot, start_small, n_small, large_waits)
     waiting = slot + large_waits.astype(jnp.int32) + small_waits.astype(jnp.int32)
-    return waiting, nodes + lax.select(found, jnp.int32(2), jnp.int32(0)), arrays
+    return waiting, nodes + lax.select(has_test, jnp.int32(2), jnp.int32(0)), arrays
 
 
 def _best_test(growth: Growth, sample: Sample, histogram: Array, n: Array, total: Array) -> tuple[Array, ...]:
@@ -178,15 +178,15 @@ def _best_test(growth: Growth, sample: Sample, histogram: Array, n: Array, total
     bits = lax.bitcast_convert_type(reduction, jnp.int32)
     best = jnp.max(bits)
     cell = jnp.min(jnp.where(bits == best, np.arange(cells.num_cells, dtype=np.int32), np.int32(cells.num_cells)))
-    found = best > 0
+    has_test = best > 0
     continuous = take(jnp.asarray(cells.continuous), cell)
     equals = lax.select(continuous, jnp.int32(0), jnp.int32(EQUALS))
     low = take(sample.binned.low, _next_filled(histogram, cell))
     high = take(sample.binned.high, cell)
     middle = high * np.float32(0.5) + low * np.float32(0.5)
     number = lax.select(continuous, lax.select(middle > high, middle, low), high)
-    n_passing = lax.select(found, take(count, cell), jnp.int32(0))
-    return found, cell, n_passing, take(sums, cell), equals | take(jnp.asarray(cells.input), cell), number
+    n_passing = lax.select(has_test, take(count, cell), jnp.int32(0))
+    return has_test, cell, n_passing, take(sums, cell), equals | take(jnp.asarray(cells.input), cell), number
 
 
 def _passing(growth: Growth, histogram: Array) -> Array:
@@ -223,8 +223,8 @@ def _partition(growth: Growth, sample: Sample, arrays: Arrays, cell: Array, star
     def step(i: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         left, right, sorted_rows = carry
         row = take(rows, i)
-        own = take(sample.binned.cells, row * np.int32(growth.num_inputs) + which).astype(jnp.int32)
-        passes = (own >= lowest) & (own <= cell)
+        row_cell = take(sample.binned.cells, row * np.int32(growth.num_inputs) + which).astype(jnp.int32)
+        passes = (row_cell >= lowest) & (row_cell <= cell)
         sorted_rows = put_row(sorted_rows, lax.select(passes, left, right), row[None])
         moved = passes.astype(jnp.int32)
         return left + moved, right - (1 - moved), sorted_rows
@@ -250,9 +250,9 @@ def _count(growth: Growth, sample: Sample, arrays: Arrays, slot: Array, start: A
     def row(i: Array, histograms: Array) -> Array:
         row = take(arrays.rows, i)
         quantum = take(sample.values, sample.offset + row)
-        own = take_row(sample.binned.cells, row * np.int32(f), f).astype(jnp.int32) + offset
+        row_cells = take_row(sample.binned.cells, row * np.int32(f), f).astype(jnp.int32) + offset
         for k in range(f):
-            for cell, amount in ((own[k], np.int32(1)), (own[k] + np.int32(s), quantum)):
+            for cell, amount in ((row_cells[k], np.int32(1)), (row_cells[k] + np.int32(s), quantum)):
                 histograms = put_row(histograms, cell, take_row(histograms, cell, 1) + amount)
         return histograms
 

@@ -55,15 +55,15 @@ def bin_inputs(inputs: Array, count: Array, categories: tuple[int, ...], num_bin
         categories, num_bins: as in `make_cells`.
     """
     sizes = np.array([size or num_bins for size in categories], np.int32)
-    own = jnp.clip(inputs.astype(jnp.int32), 0, sizes[None] - 1)
+    cells = jnp.clip(inputs.astype(jnp.int32), 0, sizes[None] - 1)
     low = [jnp.arange(size, dtype=jnp.float32) for size in sizes]
     high = list(low)
     for i in np.flatnonzero(np.array(categories) == 0):
         low[i], high[i] = _bins(inputs[:, i], count, num_bins)
         bins = jnp.searchsorted(low[i], inputs[:, i], side="right").astype(jnp.int32) - 1
-        own = own.at[:, i].set(jnp.maximum(bins, 0))
+        cells = cells.at[:, i].set(jnp.maximum(bins, 0))
     starts = np.cumsum(sizes, dtype=np.int32) - sizes
-    return Binned((own + starts[None]).astype(jnp.uint16).reshape(-1), jnp.concatenate(low), jnp.concatenate(high))
+    return Binned((cells + starts[None]).astype(jnp.uint16).reshape(-1), jnp.concatenate(low), jnp.concatenate(high))
 
 
 def _bins(column: Array, count: Array, num_bins: int) -> tuple[Array, Array]:

@@ -210,8 +210,8 @@ def _grouped(group: Array, count: Array, num_groups: int) -> tuple[Array, Array]
     """Valid rows sorted by group (int32 ``[N]``), and where each group starts (``[G + 1]``)."""
     num_rows = len(group)
     valid = jnp.arange(num_rows, dtype=jnp.int32) < count
-    own = jnp.where(valid, group, np.int32(num_groups))
-    sizes = jnp.sum(own[None, :] == jnp.arange(num_groups, dtype=jnp.int32)[:, None], axis=1, dtype=jnp.int32)
+    group_of_row = jnp.where(valid, group, np.int32(num_groups))
+    sizes = jnp.sum(group_of_row[None, :] == jnp.arange(num_groups, dtype=jnp.int32)[:, None], axis=1, dtype=jnp.int32)
     starts = [jnp.int32(0)]
     for g in range(num_groups):
         starts.append(starts[-1] + sizes[g])

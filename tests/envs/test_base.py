@@ -59,9 +59,9 @@ def test_numbers_are_in_their_range(numbers: dict, error: type[Exception], messa
 
 
 def test_numpys_numbers_are_numbers():
-    found = concrete_params(MazeParams(np.array(0.25), jnp.float32(-2), np.int64(7)))  # type: ignore[arg-type]
-    assert found == MazeParams(0.25, -2.0, 7)
-    assert type(found.max_steps) is int
+    params = concrete_params(MazeParams(np.array(0.25), jnp.float32(-2), np.int64(7)))  # type: ignore[arg-type]
+    assert params == MazeParams(0.25, -2.0, 7)
+    assert type(params.max_steps) is int
 
 
 @pytest.mark.parametrize("action", [0, np.int64(0), np.array(0), jnp.uint8(0)], ids=repr)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import hrljax as hrl
-from hrljax.core.random import WORD_RANGE
 from hrljax.envs.grid.maze import Maze
 from hrljax.solvers import Model
-from tests.maps import SMALL
+from tests.maps import SMALL, occurring
+from tests.words import CALM
 
 VARIANTS = {
     "Bus": (hrl.make("Bus", map=SMALL.map), {}),
@@ -43,17 +43,6 @@ def all_states(env: Any) -> Any:
     """Fields ``[S]``, NumPy's so that they can be constants of several programs."""
     with jax.ensure_compile_time_eval():
         return jax.tree.map(np.asarray, jax.vmap(env.decode)(jnp.arange(env.num_states, dtype=jnp.int32)))
-
-
-def occurring(env: Any, params: Any, model: Model) -> np.ndarray:
-    """``[S]`` bool: states in which an episode can have a next step."""
-    successors = model.successors().reshape(env.num_states, -1)
-    occurs, before = env.initial_distribution(params) > 0, np.zeros(env.num_states, np.bool_)
-    while (occurs != before).any():
-        before = occurs.copy()
-        following = successors[before]
-        occurs[following[following >= 0]] = True
-    return occurs
 
 
 def test_every_registered_environment_has_a_variant_here():
@@ -95,7 +84,7 @@ class Certain(Maze):
 
     def transition(self, state: Any, action: jax.Array, words: tuple[jax.Array, ...], params: Any) -> Any:
         assert words == ()
-        return super().transition(state, action, (jnp.uint32(WORD_RANGE - 1),), params)
+        return super().transition(state, action, (jnp.uint32(CALM),), params)
 
     def initial_word_cuts(self, params: Any) -> tuple[()]:
         return ()
@@ -166,4 +155,4 @@ def test_subtasks_can_go_on_wherever_an_episode_does(variant: str):
         if task.goal is not None:
             goal = np.asarray(jax.vmap(task.goal)(states))
             assert not (goal & active[task.name]).any(), task.name
-    assert active[graph.root.name][occurring(env, params, model_of(variant))].all()
+    assert active[graph.root.name][occurring(model_of(variant), env.initial_distribution(params))].all()

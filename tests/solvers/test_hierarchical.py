@@ -55,15 +55,15 @@ def solved(env, hierarchy: Hierarchy | None = None, tables: Tables | None = None
 @pytest.mark.parametrize(("ties", "recursive"), [("first", -198 / 28), ("last", -214 / 28)])
 def test_the_maze_separates_the_three_criteria(method, ties, recursive: float):
     """Means over the left room: -6.7857, and -7.0714 where ties go north or -7.6429 where they go south."""
-    found = solved(Maze(), method=method, ties=ties)
-    np.testing.assert_allclose([found.optimal.mean, found.hierarchical.mean], -190 / 28, atol=1e-6)
-    assert found.recursive.mean == pytest.approx(recursive, abs=1e-6)
+    optima = solved(Maze(), method=method, ties=ties)
+    np.testing.assert_allclose([optima.optimal.mean, optima.hierarchical.mean], -190 / 28, atol=1e-6)
+    assert optima.recursive.mean == pytest.approx(recursive, abs=1e-6)
 
 
 @pytest.mark.parametrize(("ties", "row_3"), [("first", 0), ("last", 4)])
 def test_a_recursively_optimal_exit_of_the_maze_is_wrong_in_the_shaded_row(ties, row_3: float):
-    found = solved(Maze(), ties=ties)
-    loss = (found.optimal.value - found.recursive.value).reshape(7, 6)
+    optima = solved(Maze(), ties=ties)
+    loss = (optima.optimal.value - optima.recursive.value).reshape(7, 6)
     assert np.isnan(loss[0, 5])  # the root ends at the goal
     np.testing.assert_allclose(loss[:, :4], np.array([[0, 0, 0, row_3, 2, 0, 0]]).T * np.ones(4), atol=1e-9)
     np.testing.assert_allclose(loss[1:, 4:], 0, atol=1e-9)
@@ -71,14 +71,14 @@ def test_a_recursively_optimal_exit_of_the_maze_is_wrong_in_the_shaded_row(ties,
 
 def test_the_shaded_row_of_the_maze_as_arrows():
     """Figure 2.1 of the thesis: by the nearer door, or (optimally) always by the upper one."""
-    found = solved(Maze())
+    optima = solved(Maze())
     north, south, east = range(3)
-    left = found.recursive.action.reshape(7, 6)[:, :4]
+    left = optima.recursive.action.reshape(7, 6)[:, :4]
     np.testing.assert_array_equal(left[:, 0], [south, east, north, north, south, east, north])
     np.testing.assert_array_equal(left[[1, 5], 3], [east, east])
-    assert found.hierarchical.action.reshape(7, 6)[4, 3] == north
-    np.testing.assert_array_equal(found.hierarchical.action, found.optimal.action)
-    assert found.optimal.action[5] == -1  # the goal
+    assert optima.hierarchical.action.reshape(7, 6)[4, 3] == north
+    np.testing.assert_array_equal(optima.hierarchical.action, optima.optimal.action)
+    assert optima.optimal.action[5] == -1  # the goal
 
 
 def test_with_the_exits_worth_as_pseudo_rewards_the_recursive_maze_is_optimal():
@@ -103,18 +103,18 @@ def test_with_the_exits_worth_as_pseudo_rewards_the_recursive_maze_is_optimal():
     ],
 )
 def test_the_hierarchy_of_taxi_loses_nothing(options: dict, optimal: float):
-    found = solved(Taxi(**options))
-    assert [c.mean for c in found] == pytest.approx([optimal] * 3, abs=5e-4)
+    optima = solved(Taxi(**options))
+    assert [c.mean for c in optima] == pytest.approx([optimal] * 3, abs=5e-4)
 
 
 def test_a_fickle_passenger_needs_a_total_leaf_cover():
     """Navigate goes on to where the passenger no longer wants to go; with putdown of its own it need not."""
     env = Taxi(stochastic=True, fickle=True)
-    found = solved(env)
-    assert found.optimal.mean == pytest.approx(5.614, abs=5e-4)
-    assert found.hierarchical.mean == pytest.approx(3.174, abs=5e-4)
+    optima = solved(env)
+    assert optima.optimal.mean == pytest.approx(5.614, abs=5e-4)
+    assert optima.hierarchical.mean == pytest.approx(3.174, abs=5e-4)
     patched = solved(env, total_leaf_cover(env.hierarchy()).hierarchy)
-    assert patched.hierarchical.mean == pytest.approx(found.optimal.mean, abs=1e-9)
+    assert patched.hierarchical.mean == pytest.approx(optima.optimal.mean, abs=1e-9)
 
 
 def test_taxi_has_a_calling_stack_for_each_caller_of_navigate():
@@ -131,10 +131,10 @@ def test_taxi_has_a_calling_stack_for_each_caller_of_navigate():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_hierarchy_of_the_bus_loses_nothing_if_hierarchically_optimal(bus: Bus, method):
-    found = solved(bus, method=method, pseudo_reward=5.0)
-    assert found.optimal.mean == pytest.approx(-24.59, abs=0.01)
-    assert found.hierarchical.mean == pytest.approx(found.optimal.mean, abs=1e-7)
-    assert found.recursive.mean < -60  # crosses the sites
+    optima = solved(bus, method=method, pseudo_reward=5.0)
+    assert optima.optimal.mean == pytest.approx(-24.59, abs=0.01)
+    assert optima.hierarchical.mean == pytest.approx(optima.optimal.mean, abs=1e-7)
+    assert optima.recursive.mean < -60  # crosses the sites
 
 
 def test_a_policy_has_the_value_that_the_learners_evaluation_gives_it():
@@ -164,18 +164,18 @@ def test_a_policy_has_the_value_that_the_learners_evaluation_gives_it():
 @settings(deadline=None, max_examples=25)
 def test_both_methods_agree_and_the_criteria_are_ordered(problem: Problem, kappa: float, ties):
     numbers = problem.hierarchy, problem, problem.model, problem.initial
-    found, other = (
+    optima, other = (
         solve_hierarchy(*numbers, discount=problem.discount, pseudo_reward=kappa, ties=ties, method=method)
         for method in METHODS
     )
-    for one, two in zip(found, other, strict=True):
+    for one, two in zip(optima, other, strict=True):
         np.testing.assert_allclose(one.value, two.value, atol=1e-8)
         np.testing.assert_array_equal(one.policy, two.policy)
-    np.testing.assert_allclose(found.optimal.value, problem.optimal_q().max(-1), atol=1e-9)
-    np.testing.assert_allclose(found.hierarchical.value, found.optimal.value, atol=1e-9)  # a total leaf cover
-    assert np.all(found.recursive.value < found.hierarchical.value + 1e-9)
+    np.testing.assert_allclose(optima.optimal.value, problem.optimal_q().max(-1), atol=1e-9)
+    np.testing.assert_allclose(optima.hierarchical.value, optima.optimal.value, atol=1e-9)  # a total leaf cover
+    assert np.all(optima.recursive.value < optima.hierarchical.value + 1e-9)
     process = joint_process(problem.hierarchy, problem.active, problem.model, discount=problem.discount)
-    for criterion in (found.hierarchical, found.recursive):
+    for criterion in (optima.hierarchical, optima.recursive):
         values = decompose(process, process.weights(criterion.policy, by="stack"))
         np.testing.assert_allclose(values.value[0], criterion.value, atol=1e-9)
 
@@ -194,7 +194,7 @@ def partial_problem(generator: np.random.Generator) -> Problem:
 @pytest.mark.parametrize("seed", range(4))
 def test_no_policy_of_the_hierarchy_is_better_than_the_hierarchically_optimal_one(seed: int):
     problem = partial_problem(np.random.default_rng(seed))
-    found = solve_hierarchy(problem.hierarchy, problem, problem.model, problem.initial, discount=0.9)
+    optima = solve_hierarchy(problem.hierarchy, problem, problem.model, problem.initial, discount=0.9)
     process = joint_process(problem.hierarchy, problem.active, problem.model, discount=0.9)
     fixed = np.zeros(3, np.bool_)
     best = np.full(4, -np.inf)
@@ -202,8 +202,8 @@ def test_no_policy_of_the_hierarchy_is_better_than_the_hierarchically_optimal_on
         policy = np.array([[0, *both, 1], [*left, -1], [-1, *right]])
         value = process.spread_nodes(optimise(process, process.weights(policy), fixed).value)[0]
         best = np.maximum(best, value)
-    np.testing.assert_allclose(found.hierarchical.value, best, atol=1e-9)
-    assert np.all(found.hierarchical.value > found.recursive.value - 1e-9)
+    np.testing.assert_allclose(optima.hierarchical.value, best, atol=1e-9)
+    assert np.all(optima.hierarchical.value > optima.recursive.value - 1e-9)
 
 
 @pytest.mark.parametrize("kappa", [0.0, 2.0])
@@ -242,8 +242,8 @@ def test_a_pseudo_reward_stays_out_of_what_callers_see():
         tables = Tables(active, goal)
         policy = recursively_optimal(hierarchy, tables, model, pseudo_reward=kappa)
         assert (policy[1, 0], policy[0, 0]) == (leaf, root)
-        found = solve_hierarchy(hierarchy, tables, model, np.array([1.0, 0, 0]), pseudo_reward=kappa)
-        assert found.recursive.mean == value
+        optima = solve_hierarchy(hierarchy, tables, model, np.array([1.0, 0, 0]), pseudo_reward=kappa)
+        assert optima.recursive.mean == value
 
 
 @pytest.mark.parametrize(("termination", "by_child"), [("immediate", 1.0), ("on_return", 0.25)])
@@ -280,11 +280,11 @@ def corridor(reward: float) -> tuple[Hierarchy, Tables, Model]:
 @pytest.mark.parametrize("method", METHODS)
 def test_where_staying_for_ever_ties_with_ending_the_greedy_policy_ends(method):
     hierarchy, tables, model = corridor(3.0)
-    found = solve_hierarchy(hierarchy, tables, model, np.full(5, 0.2), method=method)
-    for criterion in found:
+    optima = solve_hierarchy(hierarchy, tables, model, np.full(5, 0.2), method=method)
+    for criterion in optima:
         np.testing.assert_allclose(criterion.value, 3.0)
-    np.testing.assert_array_equal(found.hierarchical.policy[1], 1)
-    np.testing.assert_array_equal(found.recursive.policy[1], 1)
+    np.testing.assert_array_equal(optima.hierarchical.policy[1], 1)
+    np.testing.assert_array_equal(optima.recursive.policy[1], 1)
     process = joint_process(hierarchy, tables.active, model, discount=0.5)
     np.testing.assert_array_equal(greedy(process, optimise(process))[1], 1)
 
@@ -325,15 +325,15 @@ def test_where_no_recursively_optimal_policy_exists_the_other_two_do(method):
     problem = *two_rooms_with_a_dear_exit(), np.array([0.5, 0.5, 0.0])
     why = r"with discount 1 the episode must be able to end: it cannot from subtask 'Root' in state 0"
     with pytest.warns(RuntimeWarning, match=f"no recursively optimal policy with a pseudo-reward of 0: {why}"):
-        found = solve_hierarchy(*problem, method=method)
-    assert (found.optimal.mean, found.hierarchical.mean) == (-5, -5)
-    assert np.isnan(found.recursive.mean)
-    assert np.isnan(found.recursive.value).all()
-    assert found.recursive.value.shape == found.optimal.value.shape
-    assert found.recursive.policy.shape == found.hierarchical.policy.shape
-    assert (found.recursive.policy == -1).all()
-    assert (found.recursive.action == -1).all()
-    assert re.fullmatch(why, str(found.recursive.why_missing))
+        optima = solve_hierarchy(*problem, method=method)
+    assert (optima.optimal.mean, optima.hierarchical.mean) == (-5, -5)
+    assert np.isnan(optima.recursive.mean)
+    assert np.isnan(optima.recursive.value).all()
+    assert optima.recursive.value.shape == optima.optimal.value.shape
+    assert optima.recursive.policy.shape == optima.hierarchical.policy.shape
+    assert (optima.recursive.policy == -1).all()
+    assert (optima.recursive.action == -1).all()
+    assert re.fullmatch(why, str(optima.recursive.why_missing))
     with pytest.raises(NoBestPolicyError, match=why):
         recursively_optimal(*problem[:3], method=method)
     for options in ({"pseudo_reward": 10.0}, {"discount": 0.5}):
@@ -347,9 +347,9 @@ def test_four_rooms_have_no_recursively_optimal_policy_without_a_pseudo_reward()
     """The nearest hallway is as good as any to leave a room by."""
     env = Gridworld()
     with pytest.warns(RuntimeWarning, match="no recursively optimal policy"):
-        found = solved(env)
-    assert (found.optimal.mean, found.hierarchical.mean) == pytest.approx((-20, -20))
-    assert np.isnan(found.recursive.mean)
+        optima = solved(env)
+    assert (optima.optimal.mean, optima.hierarchical.mean) == pytest.approx((-20, -20))
+    assert np.isnan(optima.recursive.mean)
     assert solved(env, pseudo_reward=10.0).recursive.mean == pytest.approx(-20)
 
 

@@ -108,15 +108,15 @@ def plain(inputs, targets, categories, depth, min_leaf):
     return *test, left, right
 
 
-def assert_same(found, expected):
-    assert isinstance(found, tuple) == isinstance(expected, tuple)
-    if isinstance(found, tuple):
-        assert found[:2] == expected[:2]
-        assert found[2] == pytest.approx(expected[2], rel=1e-6)
-        assert_same(found[3], expected[3])
-        assert_same(found[4], expected[4])
+def assert_same(tree, expected):
+    assert isinstance(tree, tuple) == isinstance(expected, tuple)
+    if isinstance(tree, tuple):
+        assert tree[:2] == expected[:2]
+        assert tree[2] == pytest.approx(expected[2], rel=1e-6)
+        assert_same(tree[3], expected[3])
+        assert_same(tree[4], expected[4])
     else:
-        assert found == pytest.approx(expected, abs=2e-5)
+        assert tree == pytest.approx(expected, abs=2e-5)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -127,8 +127,8 @@ def test_equal_to_a_plain_program(seed: int):
     inputs = np.stack([rng.integers(0, size or 9, rows) for size in categories], axis=1).astype(float)
     inputs[:, 1] = rng.normal(size=rows).astype(np.float32)
     targets = rng.normal(size=rows).astype(np.float32) + inputs[:, 0]
-    found = as_dict(fit_plain(inputs.astype(np.float32), targets.astype(np.float32)))
-    assert_same(found, plain(inputs, targets, categories, 4, 3))
+    tree = as_dict(fit_plain(inputs.astype(np.float32), targets.astype(np.float32)))
+    assert_same(tree, plain(inputs, targets, categories, 4, 3))
 
 
 fit_plain = jax.jit(RegressionTree((3, 0, 5, 0, 2), max_depth=4, min_leaf=3).fit)
@@ -233,8 +233,10 @@ def test_groups_are_trees_of_their_own():
         order = np.argsort(group != g, stable=True)
         rows = inputs[order][: np.sum(group == g)]
         for k in range(2):
-            own = alone(inputs[order], targets[order, k], len(rows))
-            np.testing.assert_allclose(each(trees, rows, g, k), predictions(own, inputs[order])[: len(rows)], atol=1e-4)
+            group_alone = alone(inputs[order], targets[order, k], len(rows))
+            np.testing.assert_allclose(
+                each(trees, rows, g, k), predictions(group_alone, inputs[order])[: len(rows)], atol=1e-4
+            )
 
 
 TREE, REWARD_TREE = RegressionTree(INPUT_CATEGORIES), RegressionTree((*INPUT_CATEGORIES, 12))
@@ -259,15 +261,15 @@ def by_trees(
 def by_sklearn(data: Transitions, count: int) -> np.ndarray:
     codes = one_hot(data.inputs, INPUT_CATEGORIES)
     with_action = np.concatenate([codes, np.eye(12, dtype=np.float32)[data.actions]], axis=1)
-    found, early = np.zeros((len(codes), 5)), np.arange(len(codes)) < count
+    predicted, early = np.zeros((len(codes), 5)), np.arange(len(codes)) < count
     for a, k in np.ndindex(12, 4):
-        own = data.actions == a
+        rows = data.actions == a
         learned = DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=0)
-        learned.fit(codes[own & early], data.targets[own & early, k].astype(float))
-        found[own, k] = learned.predict(codes[own])
+        learned.fit(codes[rows & early], data.targets[rows & early, k].astype(float))
+        predicted[rows, k] = learned.predict(codes[rows])
     reward = DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=0)
-    found[:, 4] = reward.fit(with_action[:count], data.rewards[:count].astype(float)).predict(with_action)
-    return found
+    predicted[:, 4] = reward.fit(with_action[:count], data.rewards[:count].astype(float)).predict(with_action)
+    return predicted
 
 
 def test_as_accurate_as_scikit_learn_on_recorded_games():
@@ -279,8 +281,8 @@ def test_as_accurate_as_scikit_learn_on_recorded_games():
         count = int(np.sum(~held))
         truth = np.concatenate([data.targets, data.rewards[:, None]], axis=1)
         ours = by_trees(data.inputs, data.actions, data.targets, data.rewards, count)
-        for i, found in enumerate((np.asarray(ours), by_sklearn(data, count))):
-            errors[i] += ((found - truth)[count:] ** 2).sum(0)
+        for i, predicted in enumerate((np.asarray(ours), by_sklearn(data, count))):
+            errors[i] += ((predicted - truth)[count:] ** 2).sum(0)
     assert np.all(errors[0] <= 1.05 * errors[1]), errors[0] / errors[1]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks
+from hrljax.core.environment import Cuts, Events, Words
 from hrljax.core.numerics import take
 from hrljax.core.random import below, count_below, uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment, check_options
@@ -156,15 +157,15 @@ class Bus(TabularEnvironment[BusState, BusParams]):
             time=jnp.int32(0),
         )
 
-    def initial(self, words: tuple[Array, ...], params: BusParams) -> BusState:
+    def initial(self, words: Words, params: BusParams) -> BusState:
         zero = jnp.int32(0)
         road = uniform_index(words[0], jnp.int32(self.num_sites + 1))
         return BusState(cell=jnp.int32(self.layout.start), damaged=zero, picked=zero, road=road, time=zero)
 
-    def initial_word_cuts(self, params: BusParams) -> tuple[tuple[float, ...], ...]:
+    def initial_word_cuts(self, params: BusParams) -> Cuts:
         return (uniform_cuts(self.num_sites + 1),)
 
-    def word_cuts(self, params: BusParams) -> tuple[tuple[float, ...], ...]:
+    def word_cuts(self, params: BusParams) -> Cuts:
         damage, breakdown = params.damage_probability, params.breakdown_probability
         return self._slip_cuts(params), (damage, breakdown, damage * breakdown), self._road_cuts(params)
 
@@ -177,8 +178,8 @@ class Bus(TabularEnvironment[BusState, BusParams]):
         return tuple(share * (i + 1) for i in range(self.num_sites))
 
     def transition(
-        self, state: BusState, action: Array, words: tuple[Array, ...], params: BusParams
-    ) -> tuple[BusState, Array, Array, dict[str, Array]]:
+        self, state: BusState, action: Array, words: Words, params: BusParams
+    ) -> tuple[BusState, Array, Array, Events]:
         slip_word, mishap_word, road_word = words
         direction = (action + count_below(slip_word, self._slip_cuts(params))) & 3
         move = take(jnp.asarray(self._moves), state.cell * 4 + direction)

@@ -52,8 +52,8 @@ class BusMap(NamedTuple):
 
     def without_sites(self) -> "BusMap":
         """The same map with a wall in the place of every construction site."""
-        own = np.arange(self.num_cells, dtype=np.int32)[:, None]
-        return self._replace(neighbour=np.where(self.site > 0, own, self.neighbour), site=np.zeros_like(self.site))
+        cells = np.arange(self.num_cells, dtype=np.int32)[:, None]
+        return self._replace(neighbour=np.where(self.site > 0, cells, self.neighbour), site=np.zeros_like(self.site))
 
 
 def parse(text: str) -> BusMap:

@@ -1,19 +1,30 @@
 """Environments whose state is a cell of a grid: what `Maze` and `Gridworld` share."""
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.environment import Cuts, Events, Numbers, Words
 from hrljax.core.numerics import take
 from hrljax.core.random import uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment
 from hrljax.envs.grid.ascii_map import reached
 from hrljax.envs.grid.moves import move_table, moved, slip_cuts
 
-Params = TypeVar("Params", bound=Any)
+
+class SlipperyNumbers(Numbers, Protocol):
+    """Numbers of a world in which moves slip."""
+
+    @property
+    def slip_probability(self) -> Array | float: ...
+    @property
+    def step_reward(self) -> Array | float: ...
+
+
+Params = TypeVar("Params", bound=SlipperyNumbers)
 
 _GOES_ON, _GOAL, _PIT, _CLOSED = range(4)
 
@@ -34,7 +45,7 @@ class CellMap(NamedTuple):
     height: int
     width: int
     neighbour: np.ndarray  # [cells, 4] int32: the cell that a move reaches (itself at a wall)
-    wall: np.ndarray  # [cells] bool: nobody can be here
+    wall: np.ndarray  # [cells] bool: cannot be entered
     goal: np.ndarray  # [cells] bool: the episode ends here
     pit: np.ndarray  # [cells] bool: the episode ends here, badly
     starts: np.ndarray  # [cells] bool: where an episode can begin
@@ -61,8 +72,8 @@ class CellWorld(TabularEnvironment[CellState, Params], Generic[Params]):
     """Moves on a `CellMap`. A move slips to either side with half of ``params.slip_probability`` each.
 
     An episode begins in one of the map's starts, all equally likely, and ends in a goal or in a pit.
-    Closed cells have numbers too, but never occur; in the model, every action that leads to one ends
-    the episode, so that they keep no solver busy for ever.
+    Closed cells have numbers too, but never occur. In the model, an action that leads to one ends the
+    episode, so that values of closed cells are finite without discounting.
     """
 
     directions: ClassVar[tuple[int, ...]]
@@ -77,7 +88,7 @@ class CellWorld(TabularEnvironment[CellState, Params], Generic[Params]):
         """The map as arrays."""
 
     @abstractmethod
-    def end_rewards(self, params: Params) -> tuple[Any, Any]:
+    def end_rewards(self, params: Params) -> tuple[Array | float, Array | float]:
         """Whole rewards of the steps that reach a goal and a pit."""
 
     @property
@@ -90,20 +101,20 @@ class CellWorld(TabularEnvironment[CellState, Params], Generic[Params]):
     def decode(self, index: Array) -> CellState:
         return CellState(cell=jnp.asarray(index, jnp.int32), time=jnp.int32(0))
 
-    def initial(self, words: tuple[Array, ...], params: Params) -> CellState:
+    def initial(self, words: Words, params: Params) -> CellState:
         starts = np.flatnonzero(self.layout.starts).astype(np.int32)
         number = uniform_index(words[0], jnp.int32(len(starts)))
         return CellState(cell=take(jnp.asarray(starts), number), time=jnp.int32(0))
 
-    def initial_word_cuts(self, params: Params) -> tuple[tuple[float, ...], ...]:
+    def initial_word_cuts(self, params: Params) -> Cuts:
         return (uniform_cuts(int(self.layout.starts.sum())),)
 
-    def word_cuts(self, params: Params) -> tuple[tuple[Any, ...], ...]:
+    def word_cuts(self, params: Params) -> Cuts:
         return (slip_cuts(params.slip_probability),)
 
     def transition(
-        self, state: CellState, action: Array, words: tuple[Array, ...], params: Params
-    ) -> tuple[CellState, Array, Array, dict[str, Array]]:
+        self, state: CellState, action: Array, words: Words, params: Params
+    ) -> tuple[CellState, Array, Array, Events]:
         layout = self.layout
         table = jnp.asarray(move_table(layout.neighbour, self.directions, blocked_moves_slip=True))
         cell = moved(table, self.num_actions, state.cell, action, words[0], params.slip_probability)

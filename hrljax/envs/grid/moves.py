@@ -18,16 +18,16 @@ def move_table(neighbour: np.ndarray, directions: tuple[int | None, ...], blocke
         directions: for each action its index in `hrljax.envs.grid.ascii_map.MOVES`; None for one that does not move.
         blocked_moves_slip: whether a move against a wall may slip, or stays where it is.
     """
-    own = np.arange(len(neighbour))
+    cells = np.arange(len(neighbour))
     table = np.empty((len(neighbour), len(directions), len(_TURNS)), np.int32)
     for action, direction in enumerate(directions):
         for outcome, turn in enumerate(_TURNS):
             if direction is None:
-                table[:, action, outcome] = own
+                table[:, action, outcome] = cells
                 continue
             reached = neighbour[:, (direction + turn) % 4]
-            stays = (neighbour[:, direction] == own) & (not blocked_moves_slip)
-            table[:, action, outcome] = np.where(stays, own, reached)
+            stays = (neighbour[:, direction] == cells) & (not blocked_moves_slip)
+            table[:, action, outcome] = np.where(stays, cells, reached)
     return table.ravel()
 
 

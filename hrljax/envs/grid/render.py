@@ -146,7 +146,7 @@ def draw_numbers(image: AxesImage, ground: Ground, values: np.ndarray, shown: np
 
 
 def draw_disc(ax: Axes, x: float, y: float, label: str, radius: float = 0.26, layer: float = 3) -> None:
-    """Draws somebody: a disc with a label."""
+    """Draws an agent or a passenger: a disc with a label."""
     ax.add_patch(Circle((x, y), radius, facecolor=PERSON, edgecolor="white", zorder=layer))
     write(ax, x, y, label, radius * 12 / 13, "white", weight="bold")
 

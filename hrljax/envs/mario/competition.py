@@ -25,7 +25,7 @@ ROWS, COLUMNS = 16, 21
 MAX_OBJECTS = MAX_SPRITES + 1
 
 PLAYING, ENDED, OBSERVED = range(3)
-"""Phases of an episode: it goes on; it ended in the last tick of a step, which the next step tells; it is over."""
+"""Phases of an episode: it goes on; it ended in the last tick of a step and the next step will say so; it is over."""
 
 
 def keys_of(direction: int, jump: int, speed: int) -> int:
@@ -62,8 +62,8 @@ def _drawn_camera(course: Course, player: Player) -> Array:
 
 def unbegun(course: Course, level: Array | int) -> Episode:
     """An episode before its first tick. One step without keys from here leads to what `begin` returns."""
-    nothing = jnp.int32(0)
-    return Episode(start(course, level), nothing, nothing, nothing, jnp.int32(-1))
+    zero = jnp.int32(0)
+    return Episode(start(course, level), zero, zero, zero, jnp.int32(-1))
 
 
 def begin(course: Course, level: Array | int, quantum: int | None = None) -> Episode:
@@ -172,8 +172,8 @@ def screen(course: Course, episode: Episode) -> Array:
     depth = world.player.y * np.float32(1 / TILE)
     below = depth > np.float32(16)
     row = lax.select(below, truncated(depth), truncated(lax.ceil(depth))) - 1
-    here = (columns[None, :] == column) & (rows[:, None] == row)
-    return lax.select(here, jnp.full_like(symbols, SYMBOL_MARIO), symbols)
+    is_mario = (columns[None, :] == column) & (rows[:, None] == row)
+    return lax.select(is_mario, jnp.full_like(symbols, SYMBOL_MARIO), symbols)
 
 
 def camera_column(episode: Episode) -> Array:

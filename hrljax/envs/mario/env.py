@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks
+from hrljax.core.environment import Events, Words
 from hrljax.core.numerics import exact_product, opaque_zero, take
 from hrljax.core.random import WORD_BITS
 from hrljax.envs.base import Environment
@@ -145,15 +146,15 @@ class Mario(Environment[Episode, MarioParams]):
     def default_params(self) -> MarioParams:
         return PRESETS[self.preset][1]
 
-    def initial(self, words: tuple[Array, ...], params: MarioParams) -> Episode:
+    def initial(self, words: Words, params: MarioParams) -> Episode:
         # 16 bits of the word times the number of levels, without overflow.
         word = words[0] >> np.uint32(WORD_BITS - _INDEX_BITS)
         level = (word * np.uint32(self.course.num_levels)) >> np.uint32(_INDEX_BITS)
         return begin(self.course, level.astype(jnp.int32), self.quantum)
 
     def transition(
-        self, state: Episode, action: Array, words: tuple[Array, ...], params: MarioParams
-    ) -> tuple[Episode, Array, Array, dict[str, Array]]:
+        self, state: Episode, action: Array, words: Words, params: MarioParams
+    ) -> tuple[Episode, Array, Array, Events]:
         checks.integer("action", action, 0, self.num_actions - 1, may_be_traced=True)
         after = advance(self.course, state, self.keys(action), params.max_steps, self.quantum)
         terminated = after.phase == OBSERVED

@@ -144,8 +144,8 @@ def _tile_symbols(
     columns, rows = left + right, top + down
     inside_columns = jnp.clip(columns, 0, num_columns - 1)
     places = inside_columns * np.int32(HEIGHT) + jnp.clip(rows, 0, HEIGHT - 1)
-    found = jnp.where(rows < 0, np.uint8(EMPTY), tiles.at[places].get(mode="promise_in_bounds"))
-    symbols = jnp.asarray(_SYMBOL_OF_TILE).at[found.astype(jnp.int32)].get(mode="promise_in_bounds")
+    seen = jnp.where(rows < 0, np.uint8(EMPTY), tiles.at[places].get(mode="promise_in_bounds"))
+    symbols = jnp.asarray(_SYMBOL_OF_TILE).at[seen.astype(jnp.int32)].get(mode="promise_in_bounds")
     return jnp.where(columns == exit_column, _EXIT, symbols)
 
 
@@ -203,8 +203,8 @@ def num_own_states(per_unit: int = 1) -> int:
     return 12 * (2 * MAX_VELOCITY * per_unit + 1) ** 2
 
 
-def own_number(own: OwnState, per_unit: int = 1) -> Array:
+def own_number(state: OwnState, per_unit: int = 1) -> Array:
     """A number in ``[0, num_own_states(per_unit))`` for Mario's own state (int32 scalar)."""
     fastest = np.int32(MAX_VELOCITY * per_unit)
-    flags = (own.size * 2 + own.on_ground.astype(jnp.int32)) * 2 + own.may_jump.astype(jnp.int32)
-    return (flags * (2 * fastest + 1) + own.dx + fastest) * (2 * fastest + 1) + own.dy + fastest
+    flags = (state.size * 2 + state.on_ground.astype(jnp.int32)) * 2 + state.may_jump.astype(jnp.int32)
+    return (flags * (2 * fastest + 1) + state.dx + fastest) * (2 * fastest + 1) + state.dy + fastest

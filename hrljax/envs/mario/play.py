@@ -4,12 +4,13 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hrljax.core.environment import Events
 from hrljax.envs.base import numbers_of
 from hrljax.envs.mario import features
 from hrljax.envs.mario.competition import OBSERVED, PLAYING, TICKS, Episode, held_keys, keys_of, unbegun
@@ -25,6 +26,9 @@ Action = tuple[int, int, int]
 """Direction (-1 left, 0, 1 right), jump (0, 1), speed (0, 1)."""
 Policy = Callable[[Episode], Action | None]
 """What to do in an episode; None gives up."""
+
+MarioStep: TypeAlias = tuple[Episode, jax.Array, jax.Array, Events]
+"""What `Mario.transition` returns."""
 
 COLUMNS = (
     "step", "direction", "jump", "speed", "reward", "return", "x", "y", "size", "coins", "kills", "terminated",
@@ -76,10 +80,10 @@ def play(env: Mario, policy: Policy, params: MarioParams | None = None, level: i
 
 
 @lru_cache(maxsize=4)
-def _compiled(env: Mario) -> tuple[Callable[..., Any], Callable[..., World]]:
+def _compiled(env: Mario) -> tuple[Callable[..., MarioStep], Callable[..., World]]:
     """The step of an environment, and a single tick of it."""
 
-    def take_step(episode: Episode, action: jax.Array, params: MarioParams) -> Any:
+    def take_step(episode: Episode, action: jax.Array, params: MarioParams) -> MarioStep:
         return env.transition(episode, action, (), params)
 
     def take_tick(number: jax.Array, last: jax.Array, keys: jax.Array, late: jax.Array, world: World) -> World:

@@ -161,7 +161,7 @@ def read_trajectories(path: Path) -> list[Trajectory]:
     cases = []
     for i, (first, end) in enumerate(_case_rows(path, arrays, rows)):
         starts, (low, high) = _part(arrays["spr_off"], first, end)
-        own = events[(events[:, 0] >= first) & (events[:, 0] < end)]
+        case_events = events[(events[:, 0] >= first) & (events[:, 0] < end)]
         cases.append(
             Trajectory(
                 _case_id(arrays, i),
@@ -175,7 +175,7 @@ def read_trajectories(path: Path) -> list[Trajectory]:
                 starts,
                 arrays["spr_f"][low:high],
                 arrays["spr_i"][low:high],
-                own - np.array([first, 0, 0, 0], own.dtype),
+                case_events - np.array([first, 0, 0, 0], case_events.dtype),
             )
         )
     return cases
@@ -256,5 +256,5 @@ def _case_id(arrays: dict[str, np.ndarray], case: int) -> LevelId:
 
 def _part(offsets: np.ndarray, first: int, end: int) -> tuple[np.ndarray, tuple[int, int]]:
     """The offsets of rows ``first:end``, counted from the first one, and the range that they cover."""
-    own = offsets[first : end + 1]
-    return own - own[0], (int(own[0]), int(own[-1]))
+    part = offsets[first : end + 1]
+    return part - part[0], (int(part[0]), int(part[-1]))

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias, cast
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.environment import Cuts, Events, Words
 from hrljax.core.numerics import take
 from hrljax.core.random import count_below, uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment, check_options
@@ -75,8 +76,11 @@ class FickleTaxiParams(NamedTuple):
     max_steps: int = 1000
 
 
+TaxiNumbers: TypeAlias = TaxiParams | FickleTaxiParams
+
+
 @dataclass(frozen=True)
-class Taxi(TabularEnvironment[TaxiState, Any]):
+class Taxi(TabularEnvironment[TaxiState, TaxiNumbers]):
     """The Taxi domain. The episode ends when the passenger is put down at the destination.
 
     State numbers are those of Gymnasium's Taxi-v4, and so are the actions. A fickle Taxi has
@@ -129,7 +133,7 @@ class Taxi(TabularEnvironment[TaxiState, Any]):
         fickle, number = (index // 500, index % 500) if self.fickle else (jnp.int32(0), index)
         return TaxiState(number // 20, number // 4 % 5, number % 4, fickle, jnp.int32(0))
 
-    def initial(self, words: tuple[Array, ...], params: Any) -> TaxiState:
+    def initial(self, words: Words, params: TaxiNumbers) -> TaxiState:
         cell, passenger = (uniform_index(w, jnp.int32(n)) for w, n in zip(words, (SIZE * SIZE, 4), strict=False))
         destination = uniform_index(words[2], jnp.int32(self._num_destinations))
         if self.rules == "gymnasium":
@@ -140,18 +144,21 @@ class Taxi(TabularEnvironment[TaxiState, Any]):
     def _num_destinations(self) -> int:
         return 3 if self.rules == "gymnasium" else 4
 
-    def initial_word_cuts(self, params: Any) -> tuple[tuple[float, ...], ...]:
+    def initial_word_cuts(self, params: TaxiNumbers) -> Cuts:
         return uniform_cuts(SIZE * SIZE), uniform_cuts(4), uniform_cuts(self._num_destinations)
 
-    def word_cuts(self, params: Any) -> tuple[tuple[Any, ...], ...]:
+    def word_cuts(self, params: TaxiNumbers) -> Cuts:
         return slip_cuts(params.slip_probability), self._fickle_cuts(params)
 
-    def _fickle_cuts(self, params: Any) -> tuple[Any, ...]:
-        return tuple(params.fickle_probability * (i / 3) for i in (1, 2, 3)) if self.fickle else ()
+    def _fickle_cuts(self, params: TaxiNumbers) -> tuple[Array | float, ...]:
+        if not self.fickle:
+            return ()
+        probability = cast(FickleTaxiParams, params).fickle_probability
+        return tuple(probability * (i / 3) for i in (1, 2, 3))
 
     def transition(
-        self, state: TaxiState, action: Array, words: tuple[Array, ...], params: Any
-    ) -> tuple[TaxiState, Array, Array, dict[str, Array]]:
+        self, state: TaxiState, action: Array, words: Words, params: TaxiNumbers
+    ) -> tuple[TaxiState, Array, Array, Events]:
         layout = taxi_layout()
         table = jnp.asarray(_move_table(self.rules))
         cell = moved(table, self.num_actions, state.cell, action, words[0], params.slip_probability)

@@ -16,13 +16,12 @@ from hrljax.core.random import WORD_RANGE
 from hrljax.envs.bus.env import Bus, BusParams, BusState
 from hrljax.envs.bus.map import KAO_V1, MapError
 from hrljax.solvers.model import Model
+from tests.words import CALM
 
 NORTH, EAST, SOUTH, WEST = range(4)
 NO_ROAD, ROAD_A, ROAD_B = range(3)
 START, FIRST_PASSENGER, BESIDE_START = 3 * 6 + 1, 1 * 6 + 5, 3 * 6 + 2
 WEST_OF_A, EAST_OF_A, NORTH_OF_B, SOUTH_OF_B = 14, 15, 23, 29
-CALM = WORD_RANGE - 1
-"""The word on which nothing happens: no slip, no breakdown, no new road."""
 
 
 def state_of(cell: int, damaged: int = 0, picked: int = 0, road: int = NO_ROAD, time: int = 0) -> BusState:
@@ -140,10 +139,10 @@ def test_a_slip_takes_any_or_another_direction(bus: Bus, bus_model: Model):
     other = Bus(slip="other")
     other_model = other.model()
     for action in range(4):
-        there = {WAYS[a]: 0.925 if a == action else 0.025 for a in range(4)}
-        assert shares(bus, bus_model, state_of(CROSSROADS), action, "cell") == there
-        there = {WAYS[a]: 0.9 if a == action else 0.1 / 3 for a in range(4)}
-        assert shares(other, other_model, state_of(CROSSROADS), action, "cell") == there
+        shares_of_cells = {WAYS[a]: 0.925 if a == action else 0.025 for a in range(4)}
+        assert shares(bus, bus_model, state_of(CROSSROADS), action, "cell") == shares_of_cells
+        shares_of_cells = {WAYS[a]: 0.9 if a == action else 0.1 / 3 for a in range(4)}
+        assert shares(other, other_model, state_of(CROSSROADS), action, "cell") == shares_of_cells
 
 
 def test_a_road_changes_to_another_or_to_any_status(bus: Bus, bus_model: Model):
@@ -151,10 +150,10 @@ def test_a_road_changes_to_another_or_to_any_status(bus: Bus, bus_model: Model):
     redraw_model = redraw.model()
     for road in range(3):
         state = state_of(CROSSROADS, road=road)
-        kept = {r: 0.95 if r == road else 0.025 for r in range(3)}
-        assert shares(bus, bus_model, state, EAST, "road") == kept
-        kept = {r: 0.95 + 0.05 / 3 if r == road else 0.05 / 3 for r in range(3)}
-        assert shares(redraw, redraw_model, state, EAST, "road") == kept
+        shares_of_roads = {r: 0.95 if r == road else 0.025 for r in range(3)}
+        assert shares(bus, bus_model, state, EAST, "road") == shares_of_roads
+        shares_of_roads = {r: 0.95 + 0.05 / 3 if r == road else 0.05 / 3 for r in range(3)}
+        assert shares(redraw, redraw_model, state, EAST, "road") == shares_of_roads
 
 
 def test_a_site_may_be_the_cell_behind_its_edge(bus: Bus):

@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hrljax.envs.bus.map import KAO_V1, MOVES, BusMap, MapError, parse
+from tests.maps import written_over
 
 NORTH, EAST, SOUTH, WEST = range(4)
 OPPOSITE = (SOUTH, WEST, NORTH, EAST)
@@ -19,13 +20,6 @@ SMALL = """\
 | 1   2P|
 +---+---+
 """
-
-
-def changed(text: str, row: int, column: int, new: str) -> str:
-    """`text` with `new` written over what begins at a row and column, both counted from 1."""
-    lines = text.splitlines()
-    lines[row - 1] = lines[row - 1][: column - 1] + new + lines[row - 1][column - 1 + len(new) :]
-    return "\n".join(lines)
 
 
 def doors(bus_map: BusMap) -> set[tuple[int, int]]:
@@ -51,8 +45,8 @@ def test_the_shipped_map_has_its_start_and_passengers():
 def test_the_shipped_map_has_two_sites_seen_from_both_sides():
     bus_map = parse(KAO_V1)
     assert bus_map.site_names == ("A", "B")
-    found = {(c, m): int(bus_map.site[c, m]) for c, m in np.argwhere(bus_map.site).tolist()}
-    assert found == {(14, EAST): 1, (15, WEST): 1, (23, SOUTH): 2, (29, NORTH): 2}
+    sites = {(c, m): int(bus_map.site[c, m]) for c, m in np.argwhere(bus_map.site).tolist()}
+    assert sites == {(14, EAST): 1, (15, WEST): 1, (23, SOUTH): 2, (29, NORTH): 2}
     assert bus_map.neighbour[14, EAST] == 15
     assert bus_map.neighbour[23, SOUTH] == 29
 
@@ -89,7 +83,7 @@ def test_arrays_are_int32():
 
 def test_names_are_numbered_in_their_own_order_whatever_the_reading_order():
     text = SMALL.replace("1", "b").replace("2", "a")
-    text = changed(changed(text, 3, 2, " Z "), 4, 5, "C")
+    text = written_over(written_over(text, 3, 2, " Z "), 4, 5, "C")
     bus_map = parse(text)
     assert bus_map.area_names == ("a", "b")
     assert bus_map.site_names == ("C", "Z")
@@ -99,7 +93,7 @@ def test_names_are_numbered_in_their_own_order_whatever_the_reading_order():
 
 
 def test_one_site_may_span_several_edges():
-    bus_map = parse(changed(changed(SMALL, 2, 5, "A"), 4, 5, "A"))
+    bus_map = parse(written_over(written_over(SMALL, 2, 5, "A"), 4, 5, "A"))
     assert bus_map.site_names == ("A",)
     assert np.argwhere(bus_map.site).tolist() == [[0, EAST], [1, WEST], [2, EAST], [3, WEST]]
 
@@ -195,32 +189,36 @@ def test_the_opposite_move_leads_back_over_the_same_site(drawing: Drawing):
 @pytest.mark.parametrize(
     ("text", "row", "column", "problem"),
     [
-        pytest.param(changed(KAO_V1, 6, 15, "?"), 6, 15, "unknown character '?'; an area", id="area"),
-        pytest.param(changed(KAO_V1, 6, 15, "É"), 6, 15, "unknown character 'É'; an area", id="area-not-ascii"),
-        pytest.param(changed(KAO_V1, 6, 14, "x"), 6, 14, "unknown character 'x'; a cell begins", id="cell-begin"),
-        pytest.param(changed(KAO_V1, 12, 24, "Q"), 12, 24, "unknown character 'Q'; a cell ends", id="cell-end"),
-        pytest.param(changed(KAO_V1, 2, 5, "a"), 2, 5, "unknown characters 'a'; between", id="edge-small-letter"),
-        pytest.param(changed(KAO_V1, 2, 13, "-"), 2, 13, "unknown characters '-'; between", id="edge-dash"),
-        pytest.param(changed(KAO_V1, 3, 14, "A  "), 3, 14, "unknown characters 'A  '; between", id="site-not-centred"),
-        pytest.param(changed(KAO_V1, 5, 14, "-- "), 5, 14, "unknown characters '-- '; between", id="broken-wall"),
-        pytest.param(changed(KAO_V1, 5, 14, "AB "), 5, 14, "unknown characters 'AB '; between", id="two-letters"),
-        pytest.param(changed(KAO_V1, 5, 14, " É "), 5, 14, "unknown characters ' É '; between", id="site-not-ascii"),
-        pytest.param(changed(KAO_V1, 7, 13, "-"), 7, 13, "unknown character '-'; a corner", id="corner"),
-        pytest.param(changed(KAO_V1, 10, 16, "S"), 10, 16, "a second start S", id="two-starts"),
+        pytest.param(written_over(KAO_V1, 6, 15, "?"), 6, 15, "unknown character '?'; an area", id="area"),
+        pytest.param(written_over(KAO_V1, 6, 15, "É"), 6, 15, "unknown character 'É'; an area", id="area-not-ascii"),
+        pytest.param(written_over(KAO_V1, 6, 14, "x"), 6, 14, "unknown character 'x'; a cell begins", id="cell-begin"),
+        pytest.param(written_over(KAO_V1, 12, 24, "Q"), 12, 24, "unknown character 'Q'; a cell ends", id="cell-end"),
+        pytest.param(written_over(KAO_V1, 2, 5, "a"), 2, 5, "unknown characters 'a'; between", id="edge-small-letter"),
+        pytest.param(written_over(KAO_V1, 2, 13, "-"), 2, 13, "unknown characters '-'; between", id="edge-dash"),
+        pytest.param(
+            written_over(KAO_V1, 3, 14, "A  "), 3, 14, "unknown characters 'A  '; between", id="site-not-centred"
+        ),
+        pytest.param(written_over(KAO_V1, 5, 14, "-- "), 5, 14, "unknown characters '-- '; between", id="broken-wall"),
+        pytest.param(written_over(KAO_V1, 5, 14, "AB "), 5, 14, "unknown characters 'AB '; between", id="two-letters"),
+        pytest.param(
+            written_over(KAO_V1, 5, 14, " É "), 5, 14, "unknown characters ' É '; between", id="site-not-ascii"
+        ),
+        pytest.param(written_over(KAO_V1, 7, 13, "-"), 7, 13, "unknown character '-'; a corner", id="corner"),
+        pytest.param(written_over(KAO_V1, 10, 16, "S"), 10, 16, "a second start S", id="two-starts"),
         pytest.param(KAO_V1.replace("S", " "), 1, 1, "no start", id="no-start"),
         pytest.param(KAO_V1.replace("P", " "), 1, 1, "no passenger", id="no-passenger"),
-        pytest.param(changed(KAO_V1, 8, 25, "+"), 8, 25, "unknown characters '+'; between", id="border-corner"),
-        pytest.param(changed(KAO_V1, 1, 10, "   "), 1, 11, "an opening in the border", id="open-north"),
-        pytest.param(changed(KAO_V1, 13, 10, " C "), 13, 11, "an opening in the border", id="site-south"),
-        pytest.param(changed(KAO_V1, 4, 1, " "), 4, 1, "an opening in the border", id="open-west"),
-        pytest.param(changed(KAO_V1, 4, 25, "D"), 4, 25, "an opening in the border", id="site-east"),
-        pytest.param(changed(KAO_V1, 6, 23, "   "), 6, 21, "wrong size: 20 characters", id="short-line"),
+        pytest.param(written_over(KAO_V1, 8, 25, "+"), 8, 25, "unknown characters '+'; between", id="border-corner"),
+        pytest.param(written_over(KAO_V1, 1, 10, "   "), 1, 11, "an opening in the border", id="open-north"),
+        pytest.param(written_over(KAO_V1, 13, 10, " C "), 13, 11, "an opening in the border", id="site-south"),
+        pytest.param(written_over(KAO_V1, 4, 1, " "), 4, 1, "an opening in the border", id="open-west"),
+        pytest.param(written_over(KAO_V1, 4, 25, "D"), 4, 25, "an opening in the border", id="site-east"),
+        pytest.param(written_over(KAO_V1, 6, 23, "   "), 6, 21, "wrong size: 20 characters", id="short-line"),
         pytest.param("\n".join(line[:-1] for line in KAO_V1.splitlines()), 1, 24, "wrong size: 24", id="width"),
         pytest.param("+\n|\n+", 1, 1, "wrong size: 1 characters; a map of w columns", id="no-columns"),
         pytest.param("\n".join(KAO_V1.splitlines()[:-1]), 12, 1, "wrong size: 12 lines", id="height"),
         pytest.param("+---+", 1, 1, "wrong size: 1 lines; a map of h rows", id="no-rows"),
         pytest.param("", 1, 1, "wrong size: 0 lines", id="empty"),
-        pytest.param(changed(SMALL, 4, 5, "|"), 4, 8, "a passenger that cannot be reached", id="unreachable"),
+        pytest.param(written_over(SMALL, 4, 5, "|"), 4, 8, "a passenger that cannot be reached", id="unreachable"),
     ],
 )
 def test_errors_name_the_row_and_the_column(text: str, row: int, column: int, problem: str):
@@ -229,13 +227,13 @@ def test_errors_name_the_row_and_the_column(text: str, row: int, column: int, pr
 
 
 def test_a_map_may_begin_with_a_newline():
-    for found, expected in zip(parse("\n" + SMALL), parse(SMALL), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    for with_blank_line, expected in zip(parse("\n" + SMALL), parse(SMALL), strict=True):
+        np.testing.assert_array_equal(with_blank_line, expected)
 
 
 def test_a_line_longer_than_the_first_is_named():
     with pytest.raises(MapError, match=r"row 6, column \d+: wrong size: 27 characters; the first line has 25"):
-        parse(changed(KAO_V1, 6, 26, " |"))
+        parse(written_over(KAO_V1, 6, 26, " |"))
 
 
 def test_map_errors_are_value_errors():

@@ -6,11 +6,12 @@ import pytest
 from matplotlib._pylab_helpers import Gcf
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.quiver import Quiver
 
 from hrljax.envs.bus.env import Bus, BusState
 from hrljax.envs.bus.map import KAO_V1, parse
 from hrljax.envs.bus.render import draw_map, draw_policy, draw_value, rgb_array, text
+from tests.maps import occurring
+from tests.pictures import arrows, image_of, strings
 
 CORRIDOR = """\
 +---+---+---+---+
@@ -51,34 +52,8 @@ def state(cell: int, damaged: int = 0, picked: int = 0, road: int = 0) -> BusSta
     return BusState(*(jnp.int32(value) for value in (cell, damaged, picked, road, 0)))
 
 
-def strings(axes: Axes) -> list[str]:
-    return [t.get_text() for t in axes.texts]
-
-
-def arrows(axes: Axes) -> Quiver:
-    (quiver,) = (c for c in axes.collections if isinstance(c, Quiver))
-    return quiver
-
-
 def at(env: Bus, table: np.ndarray, cell: int, **flags: int) -> float:
     return table[int(env.encode(state(cell, **flags)))].item()
-
-
-def image_of(axes: Axes) -> np.ma.MaskedArray:
-    (image,) = axes.images
-    return np.ma.asarray(image.get_array())
-
-
-def occurring(env: Bus) -> set[int]:
-    """Numbers of the states in which an episode can have a next step."""
-    successors = env.model().successors().reshape(env.num_states, -1)
-    reached = env.initial_distribution() > 0
-    size = 0
-    while reached.sum() > size:
-        size = int(reached.sum())
-        following = successors[reached]
-        reached[following[following >= 0]] = True
-    return set(np.flatnonzero(reached).tolist())
 
 
 @each_map
@@ -186,7 +161,7 @@ def test_hatching_covers_what_damages_the_bus() -> None:
 @pytest.mark.parametrize("source", [KAO_V1, CORRIDOR, NO_SITES], ids=["shipped", "corridor", "no sites"])
 def test_policy_and_value_are_drawn_exactly_where_the_state_occurs(source: str) -> None:
     env = Bus(map=source)
-    occurs = occurring(env)
+    occurs = set(np.flatnonzero(occurring(env.model(), env.initial_distribution())).tolist())
     table = np.zeros(env.num_states, np.int32)
     for picked in range(1 << len(env.layout.passengers)):
         cells = range(env.layout.num_cells)

@@ -16,9 +16,9 @@ from hrljax.envs.grid.cell_world import CellMap, CellState
 from hrljax.envs.grid.gridworld import GridParams, Gridworld
 from hrljax.envs.grid.map import CLIFF, FOUR_ROOMS, parse
 from hrljax.solvers import value_iteration
+from tests.words import CALM
 
 NORTH, EAST, SOUTH, WEST = range(4)
-CALM = WORD_RANGE - 1
 SMALL = """\
 S.#.
 ..aG
@@ -58,8 +58,8 @@ def test_moves_join_the_cells_that_are_not_walls(rows: list[str]):
     except MapError:
         return
     inside = {(r, c) for r, row in enumerate(rows) for c, mark in enumerate(row) if mark != "#"}
-    for (row, column), there in zip(np.ndindex(len(rows), 4), layout.neighbour.tolist(), strict=True):
-        for (down, right), cell in zip(((-1, 0), (0, 1), (1, 0), (0, -1)), there, strict=True):
+    for (row, column), reached in zip(np.ndindex(len(rows), 4), layout.neighbour.tolist(), strict=True):
+        for (down, right), cell in zip(((-1, 0), (0, 1), (1, 0), (0, -1)), reached, strict=True):
             beyond = row + down, column + right
             opened = (row, column) in inside and beyond in inside
             assert divmod(cell, 4) == (beyond if opened else (row, column))

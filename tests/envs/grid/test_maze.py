@@ -10,9 +10,9 @@ from hrljax.envs.grid.cell_world import CellState
 from hrljax.envs.grid.maze import Maze, MazeParams
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.solvers import Model, value_iteration
+from tests.words import CALM
 
 NORTH, SOUTH, EAST = range(3)
-CALM = WORD_RANGE - 1
 RIGHT, LEFT = WORD_RANGE // 8, 0  # words of a slip to either side, at slip_probability 1/4
 SLIPPERY = MazeParams(slip_probability=0.25)
 

@@ -8,7 +8,6 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.quiver import Quiver
 
 from hrljax.envs.grid import cell_render
 from hrljax.envs.grid.cell_world import CellState
@@ -17,6 +16,7 @@ from hrljax.envs.grid.map import FOUR_ROOMS
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi import render
 from hrljax.envs.taxi.env import ABOARD, MAP, Taxi, TaxiState
+from tests.pictures import arrows, image_of, strings
 
 RED, GREEN, YELLOW, BLUE = range(4)
 HOUSE = Gridworld(map="S.P\n#a#\n..G\n")
@@ -32,13 +32,9 @@ def taxi_at(cell: int, passenger: int, destination: int = GREEN, fickle: int = 0
     return TaxiState(*(jnp.int32(x) for x in (cell, passenger, destination, fickle, 0)))
 
 
-def strings(axes: Axes) -> list[str]:
-    return [t.get_text() for t in axes.texts]
-
-
-def arrows(axes: Axes, width: int) -> dict[int, tuple[int, int]]:
+def directions(axes: Axes, width: int) -> dict[int, tuple[int, int]]:
     """The direction (down, right) of the arrow in each cell that has one."""
-    (quiver,) = (c for c in axes.collections if isinstance(c, Quiver))
+    quiver = arrows(axes)
     cells = np.asarray(quiver.get_offsets(), int) @ (1, width)
     signs = np.sign([quiver.V, quiver.U]).T.astype(int)
     return {cell: tuple(sign) for cell, sign in zip(cells.tolist(), signs.tolist(), strict=True)}
@@ -46,8 +42,7 @@ def arrows(axes: Axes, width: int) -> dict[int, tuple[int, int]]:
 
 def coloured(axes: Axes) -> np.ndarray:
     """Cells that a value colours."""
-    (image,) = axes.images
-    return np.flatnonzero(~np.ma.getmaskarray(np.ma.asarray(image.get_array())))
+    return np.flatnonzero(~np.ma.getmaskarray(image_of(axes)))
 
 
 def test_text_of_a_gridworld_is_its_source_and_the_agent_stands_in_it():
@@ -81,7 +76,7 @@ def test_policy_and_value_are_drawn_where_an_episode_goes_on(env):
     generator = np.random.default_rng(0)
     policy = generator.integers(0, env.num_actions, env.num_states)
     value = generator.uniform(-50, -10, env.num_states)
-    drawn = arrows(cell_render.draw_policy(env, policy), env.layout.width)
+    drawn = directions(cell_render.draw_policy(env, policy), env.layout.width)
     steps = {"north": (-1, 0), "east": (0, 1), "south": (1, 0), "west": (0, -1)}
     goes_on = np.flatnonzero(~env.layout.ends).tolist()
     assert drawn == {cell: steps[env.action_names[policy[cell]]] for cell in goes_on}
@@ -119,7 +114,7 @@ def test_policy_of_a_taxi_has_arrows_for_moves_and_words_for_the_rest():
     env, policy = Taxi(), np.arange(500) // 20 % 6
     axes = render.draw_policy(env, policy, passenger=ABOARD, destination=RED)
     steps = ((1, 0), (-1, 0), (0, 1), (0, -1))
-    assert arrows(axes, 5) == {cell: steps[cell % 6] for cell in range(25) if cell % 6 < 4}
+    assert directions(axes, 5) == {cell: steps[cell % 6] for cell in range(25) if cell % 6 < 4}
     assert strings(axes).count("pick\nup") == strings(axes).count("put\ndown") == 4
     assert coloured(render.draw_value(env, policy, passenger=RED, destination=RED)).tolist() == list(range(25))
 

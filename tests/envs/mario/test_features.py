@@ -108,9 +108,9 @@ def test_windows_of_all_sizes_agree_with_a_plain_look_at_the_level(x, y, size):
     column, row = int(np.float32(x) / 16), 15 - int(16 - np.float32(y) / np.float32(16))
     for down in range(size):
         for right in range(size):
-            there, height = column + right - size // 2, row + down - size // 2
-            tile = int(LEVEL.tiles[np.clip(there, 0, WIDTH - 1), np.clip(height, 0, 14)]) if height >= 0 else 0
-            if there == 8:
+            x_tile, height = column + right - size // 2, row + down - size // 2
+            tile = int(LEVEL.tiles[np.clip(x_tile, 0, WIDTH - 1), np.clip(height, 0, 14)]) if height >= 0 else 0
+            if x_tile == 8:
                 assert cells[down, right] == NUMBER["exit"]
             elif tile in (0x22, 0x10, 0x11, 0x15, 0x16, 0x0A, 0x0B, 0x1A, 0x1B):
                 assert SYMBOL_NAMES[cells[down, right]] in ("coin", "brick", "question block", "pipe")

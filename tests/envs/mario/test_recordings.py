@@ -113,9 +113,9 @@ def test_the_full_recordings():
     ],
 )
 def test_recordings_with_something_missing_are_refused(tmp_path, read, arrays, change, message):
-    kept = {name: value for name, value in (arrays | change).items() if value is not None}
+    arrays_left = {name: value for name, value in (arrays | change).items() if value is not None}
     with pytest.raises(ValueError, match=message):
-        read(written(tmp_path / "r.npz", kept))
+        read(written(tmp_path / "r.npz", arrays_left))
 
 
 def test_what_is_no_recording_is_refused(tmp_path):

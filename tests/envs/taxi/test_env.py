@@ -13,11 +13,11 @@ import hrljax as hrl
 from hrljax.core.random import WORD_RANGE
 from hrljax.envs.taxi.env import ABOARD, FickleTaxiParams, Taxi, TaxiParams, TaxiState, taxi_layout
 from hrljax.solvers import Model, value_iteration
+from tests.words import CALM
 
 SOUTH, NORTH, EAST, WEST, PICKUP, PUTDOWN = range(6)
 RED, GREEN, YELLOW, BLUE = range(4)
 AT = dict(zip((RED, GREEN, YELLOW, BLUE), (0, 4, 20, 23), strict=True))
-CALM = WORD_RANGE - 1
 MIDDLE = 12
 
 
@@ -146,9 +146,13 @@ def test_a_pickup_is_allowed_where_the_passenger_waits(rules: str):
     for waits in range(4):
         for cell in range(25):
             result = move(env, state_of(cell, waits, (waits + 1) % 4), PICKUP)
-            here = cell == AT[waits]
-            assert (result.passenger, result.cell, result.illegal) == (ABOARD if here else waits, cell, not here)
-            assert (result.reward, result.ended) == (-1 if here else -10, False)
+            may_board = cell == AT[waits]
+            assert (result.passenger, result.cell, result.illegal) == (
+                ABOARD if may_board else waits,
+                cell,
+                not may_board,
+            )
+            assert (result.reward, result.ended) == (-1 if may_board else -10, False)
     for cell in (AT[RED], MIDDLE):
         again = move(env, state_of(cell, ABOARD), PICKUP)
         assert (again.reward, again.passenger, again.illegal) == (-10, ABOARD, True)

@@ -32,7 +32,7 @@ ANCHOR = (16, 34)
 
 
 class Pose(NamedTuple):
-    """How a figure is shown; hashable, so that drawings are kept."""
+    """How a figure is shown; hashable, so that drawings can be cached."""
 
     kind: int  # 0 Mario, else the kind of sprite
     size: int = 0  # Mario: 0 small, 1 large, 2 fire; shell: 0 red, 1 green

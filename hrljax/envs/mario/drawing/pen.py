@@ -1,6 +1,6 @@
 """A pen for small drawings, and the colours of the platformer.
 
-Measures are the game's pixels: a tile is 16 x 16. Colours keep their distance for colour-blind eyes
+Lengths are the game's pixels: a tile is 16 x 16. The colours can be told apart by the colour-blind
 (after Okabe and Ito), and things that differ in colour differ in a mark too.
 """
 
@@ -27,7 +27,7 @@ class Pen:
         self._draw = ImageDraw.Draw(self.image)
 
     def box(self, box: Box, fill: str, line: str | None = None, width: float = 1, radius: float = 0) -> None:
-        # The lower right point belongs to what Pillow draws.
+        # Pillow draws the lower right point too.
         x0, y0, x1, y1 = (v * FINE for v in box)
         self._draw.rounded_rectangle((x0, y0, x1 - 1, y1 - 1), radius * FINE, fill, line, round(width * FINE))
 

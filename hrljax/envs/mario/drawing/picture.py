@@ -203,7 +203,7 @@ class _Picture:
         ImageDraw.Draw(self.image).line(points, "#D55E00", max(1, round(2 * self._scale)), joint="curve")
 
     def blank_right_of(self, column: int) -> None:
-        """Leaves nothing where there is no level."""
+        """Whitens what lies to the right of the level."""
         edge = column * self._tile_pixels - self._left
         if edge < self.image.width:
             self.image.paste("#FFFFFF", (edge, 0, *self.image.size))

@@ -3,7 +3,7 @@
 The original multiplies three times in float64 and rounds to float32, and its velocities decay into
 the subnormal numbers, which XLA on a CPU flushes to zero: Mario, standing still for 20 seconds,
 would then leave the ground for one tick (a landed Mario's ya only decays; being above zero is what
-keeps him on the ground). So decay is computed on the bits, in integers.
+keeps him on the ground). So decay is computed on the bits, in integers (docs/mario_engine.md, "Exact arithmetic").
 """
 
 from typing import NamedTuple
@@ -76,16 +76,16 @@ def decayed(value: Array, by: Factor) -> Array:
     # Second rounding: to 24 bits, or to the places that a subnormal number has.
     finer = short & (exponent > np.uint32(1)).astype(jnp.uint32)
     shift = np.uint32(5) - finer + leading_zeros
-    kept = lax.shift_right_logical(total, shift)
-    rest = ((total - lax.shift_left(kept, shift)) << np.uint32(1)) | inexact
-    kept = kept + _round_up(rest, lax.shift_left(jnp.uint32(1), shift), kept)
-    result = ((exponent - finer - np.uint32(1)) << np.uint32(23)) + kept
+    upper = lax.shift_right_logical(total, shift)
+    rest = ((total - lax.shift_left(upper, shift)) << np.uint32(1)) | inexact
+    upper = upper + _round_up(rest, lax.shift_left(jnp.uint32(1), shift), upper)
+    result = ((exponent - finer - np.uint32(1)) << np.uint32(23)) + upper
     return lax.bitcast_convert_type(result | (bits & _SIGN), jnp.float32)
 
 
-def _round_up(rest: Array, half: Array, kept: Array) -> Array:
+def _round_up(rest: Array, half: Array, upper: Array) -> Array:
     """1 if what is cut off, `rest`, calls for the next larger number, else 0; ties go to the even one."""
-    return ((rest > half) | ((rest == half) & ((kept & np.uint32(1)) == 1))).astype(jnp.uint32)
+    return ((rest > half) | ((rest == half) & ((upper & np.uint32(1)) == 1))).astype(jnp.uint32)
 
 
 def is_positive(value: Array) -> Array:

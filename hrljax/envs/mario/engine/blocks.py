@@ -1,4 +1,7 @@
-"""Bumping a tile: what it turns into, what comes out, and what happens to those who stand on it."""
+"""Bumping a tile: what it turns into, what comes out, and what happens to those who stand on it.
+
+The rules are in docs/mario_engine.md, "Blocks and items".
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -66,9 +69,9 @@ def _shake(tick: Tick, cell: Cell) -> Tick:
     tile = tile_at(world.tiles, cell)
     coin = (behavior(tile) & np.int32(PICK_UP)) != 0
     # A cell above the level holds no coin, so the tile at its clamped place stays.
-    kept = lax.select(cell.row < 0, take(world.tiles, index), tile)
+    unchanged = lax.select(cell.row < 0, take(world.tiles, index), tile)
     world = world._replace(
-        tiles=put_tile(world.tiles, index, lax.select(coin, jnp.uint8(EMPTY), kept)),
+        tiles=put_tile(world.tiles, index, lax.select(coin, jnp.uint8(EMPTY), unchanged)),
         coins=world.coins + coin.astype(jnp.int32),
     )
     left = (cell.column * TILE).astype(jnp.float32)

@@ -1,5 +1,7 @@
 """How things meet tiles: what blocks, and moving in pieces of at most 8 pixels.
 
+The rules are in docs/mario_engine.md, "Moving and collision".
+
 A move probes the tiles at some points of the box that it would take the thing to. A probe of the
 cell in which the thing's foot point lies already is free.
 """
@@ -115,11 +117,11 @@ def _same(a: Cell, b: Cell) -> Array:
 @stage
 def _look_across(tiles: Array, x: Array, y: Array, dx: Array, shape: Shape, avoids_cliffs: Array) -> Array:
     """Bits 0 to 2: blocked probes, bit 3: a cliff ahead; from bit 4 on: probes that meet something to pick up."""
-    own = Cell(tile_of(x), tile_of(y))
+    current = Cell(tile_of(x), tile_of(y))
     result = jnp.int32(0)
     for i, cell in enumerate(probes_across(x, y, dx, shape)):
         bits = behavior(tile_at(tiles, cell))
-        bits = lax.select(_same(cell, own), jnp.int32(0), bits)
+        bits = lax.select(_same(cell, current), jnp.int32(0), bits)
         result = result | (_flag(bits, BLOCKS) << np.int32(i)) | (_flag(bits, PICK_UP) << np.int32(_COINS_SHIFT + i))
     foot = Cell(_leading_column(x, dx, shape), truncated(y * np.float32(1 / 16) + np.float32(1)))
     floor = _flag(behavior(tile_at(tiles, foot)), BLOCKS | BLOCKS_FALLING)
@@ -130,14 +132,14 @@ def _look_across(tiles: Array, x: Array, y: Array, dx: Array, shape: Shape, avoi
 @stage
 def _look_along(tiles: Array, x: Array, y: Array, dy: Array, shape: Shape) -> Array:
     """Bits 0 to 3: the first blocked probe, bits from 4 on: probes up to it that meet something to pick up."""
-    own = Cell(tile_of(x), tile_of(y))
+    current = Cell(tile_of(x), tile_of(y))
     cells, down = probes_along(x, y, dy, shape), is_positive(dy)
     sides = lax.select(down, jnp.int32(BLOCKS), jnp.int32(BLOCKS | BLOCKS_RISING))
     lower = lax.select(down, jnp.int32(BLOCKS | BLOCKS_FALLING), jnp.int32(BLOCKS | BLOCKS_RISING))
     result = jnp.int32(0)
     for i, (cell, blocking) in enumerate(zip(cells, (sides, sides, lower, lower), strict=True)):
         bits = behavior(tile_at(tiles, cell))
-        free = _same(cell, own) | ((result & np.int32(0xF)) != 0)
+        free = _same(cell, current) | ((result & np.int32(0xF)) != 0)
         bits = lax.select(free, jnp.int32(0), bits)
         hit = ((bits & blocking) != 0).astype(jnp.int32)
         result = result | (hit << np.int32(i)) | (_flag(bits, PICK_UP) << np.int32(_COINS_SHIFT + i))

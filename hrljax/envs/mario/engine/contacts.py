@@ -40,7 +40,7 @@ from hrljax.envs.mario.engine.state import (
     Sprites,
     player_height,
 )
-from hrljax.envs.mario.levels.level import PIRANHA, RED_KOOPA, SPIKY
+from hrljax.envs.mario.levels.level import RED_KOOPA, SPIKY
 
 _NEAR = np.float32(64)
 """Farther away than this from where Mario was, no sprite can touch him: he moves by less than 24 pixels a tick."""
@@ -257,6 +257,3 @@ def _hit(tick: Tick, striker_place: Array, place: Array) -> Tick:
 def _broken(sprite: Sprites) -> Sprites:
     broken = break_apart(sprite)
     return broken._replace(flags=with_flag(broken.flags, CARRIED, jnp.bool_(False)))
-
-
-__all__ = ["PIRANHA", "strike_all", "touch_all"]

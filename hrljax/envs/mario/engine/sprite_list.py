@@ -1,4 +1,4 @@
-"""One sprite as scalars; reading, writing, adding and removing sprites; what is true within a tick."""
+"""One sprite as scalars; reading, writing, adding and removing sprites; the world in the middle of a tick."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -78,8 +78,8 @@ def add(tick: Tick, sprite: Sprites) -> Tick:
     full = place >= MAX_SPRITES
     place = lax.select(full, jnp.int32(MAX_SPRITES - 1), place)
     sprite = sprite._replace(serial=world.num_created)
-    kept = read(world.sprites, place)
-    sprite = Sprites(*(lax.select(full, a, b) for a, b in zip(kept, sprite, strict=True)))
+    occupant = read(world.sprites, place)
+    sprite = Sprites(*(lax.select(full, a, b) for a, b in zip(occupant, sprite, strict=True)))
     world = world._replace(
         sprites=write(world.sprites, place, sprite),
         num_created=world.num_created + 1,
@@ -129,17 +129,17 @@ def choose(condition: Array, these: T, those: T) -> T:
 
 
 def settle(tick: Tick) -> World:
-    """The end of a tick: removed sprites leave, new ones come to the front (our end) of the list.
+    """The end of a tick: removed sprites leave, new ones enter the list at its front.
 
-    Those that came together keep their order, first created first; as places go from the oldest to
-    the newest, they are turned round.
+    The front of the list is the end of the arrays. Sprites that enter together are listed in the
+    order of their creation, so the arrays hold them in reverse.
     """
-    tick = when(tick.num_new > 1, _turn_round, tick)
+    tick = when(tick.num_new > 1, _reverse_new, tick)
     world = tick.world._replace(num_sprites=tick.world.num_sprites + tick.num_new)
     return when(tick.removing, _compact, world)
 
 
-def _turn_round(tick: Tick) -> Tick:
+def _reverse_new(tick: Tick) -> Tick:
     def swap(carry: tuple[Array, Array, Sprites]) -> tuple[Array, Array, Sprites]:
         i, j, sprites = carry
         a, b = read(sprites, i), read(sprites, j)
@@ -153,17 +153,17 @@ def _turn_round(tick: Tick) -> Tick:
 
 def _compact(world: World) -> World:
     def look_at(carry: tuple[Array, Array, Sprites, Array]) -> tuple[Array, Array, Sprites, Array]:
-        i, kept, sprites, states = carry
+        i, num_staying, sprites, states = carry
         sprite = read(sprites, i)
         stays = ~has(sprite.flags, REMOVED)
         place = lax.max(sprite.template, jnp.int32(0))
         state = take(states, place)
         frees = ~stays & (sprite.template >= 0) & (state == PRESENT)
         states = put_row(states, place, lax.select(frees, jnp.uint8(FREE), state)[None])
-        # What does not stay is written too, and overwritten by the next that does.
-        return i + 1, kept + stays.astype(jnp.int32), write(sprites, kept, sprite), states
+        # A sprite that leaves is written too; the next one that stays overwrites it.
+        return i + 1, num_staying + stays.astype(jnp.int32), write(sprites, num_staying, sprite), states
 
     count = world.num_sprites
     start = (jnp.int32(0), jnp.int32(0), world.sprites, world.template_states)
-    _, kept, sprites, states = lax.while_loop(lambda carry: carry[0] < count, look_at, start)
-    return world._replace(num_sprites=kept, sprites=sprites, template_states=states)
+    _, num_staying, sprites, states = lax.while_loop(lambda carry: carry[0] < count, look_at, start)
+    return world._replace(num_sprites=num_staying, sprites=sprites, template_states=states)

@@ -1,4 +1,7 @@
-"""How sprites come into the game and move: monsters, items, fireballs and shells."""
+"""How sprites come into the game and move: monsters, items, fireballs and shells.
+
+The rules are in docs/mario_engine.md, "Sprites", and docs/mario_engine.md, "Coming and going".
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -172,9 +175,9 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
 
     shape = sprite_shape(kind)
     purse = Purse(world.tiles, world.coins)
-    nothing = jnp.float32(0)
+    no_speed = jnp.float32(0)
     careful = (kind == RED_KOOPA) & has(flags, ON_GROUND)
-    purse, across = move_across(purse, before.x, before.y, lax.select(moving, xa, nothing), shape, careful)
+    purse, across = move_across(purse, before.x, before.y, lax.select(moving, xa, no_speed), shape, careful)
     tick = tick._replace(world=world._replace(tiles=purse.tiles, coins=purse.coins))
 
     def bump_wall(carry: tuple[Tick, Array, Array]) -> tuple[Tick, Array, Array]:
@@ -189,7 +192,7 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
 
     tick, facing, ya = when(across.blocked & shell, bump_wall, (tick, facing, before.ya))
     x = lax.select(across.blocked, wall_position(across.position, across.piece, shape.half_width), across.position)
-    xa = lax.select(across.blocked, nothing, xa)
+    xa = lax.select(across.blocked, no_speed, xa)
     sprite = before._replace(
         x=x, xa=xa, ya=ya, facing=lax.select(across.blocked & ~fireball, -facing, facing)
     )  # fmt: skip
@@ -197,12 +200,12 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
 
     world = tick.world
     purse = Purse(world.tiles, world.coins)
-    purse, along = move_along(purse, x, before.y, lax.select(moving, sprite.ya, nothing), shape)
+    purse, along = move_along(purse, x, before.y, lax.select(moving, sprite.ya, no_speed), shape)
     fell = is_positive(sprite.ya)
     hit_ceiling, landed = along.blocked & ~fell, along.blocked & fell
     y = lax.select(landed, floor_position(along.position), along.position)
     y = lax.select(hit_ceiling, ceiling_position(along.position, shape.height), y)
-    ya = lax.select(hit_ceiling, nothing, sprite.ya)
+    ya = lax.select(hit_ceiling, no_speed, sprite.ya)
 
     # What does not meet tiles: the dead fall, plants go up and down, items rise.
     falls = dead & (has(flags, FLYING) | plant | shell)
@@ -213,7 +216,7 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
     rested = lax.select(at_home, before.aux + 1, lax.select(lives_in_pipe, jnp.int32(0), before.aux))
     mario_away = truncated(lax.abs(world.player.x - x)) > _PLANT_DISTANCE
     leaves = at_home & (rested > _PLANT_REST) & mario_away
-    ya = lax.select(leaves, jnp.float32(-8), lax.select(at_home, nothing, ya))
+    ya = lax.select(leaves, jnp.float32(-8), lax.select(at_home, no_speed, ya))
     y = lax.select(at_home, home, y)
     x = lax.select(falls, x + sprite.xa, x)
     y = lax.select(falls | lives_in_pipe, y + ya, lax.select(rising, y - np.float32(1), y))
@@ -226,7 +229,7 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
     by = select_factor(dead, _FALL_DECAY, by)
     gravity = lax.select(has(flags, WINGED), jnp.float32(0.6), jnp.float32(2))
     gravity = lax.select(fireball, jnp.float32(1.5), gravity)
-    gravity = lax.select(landed, nothing, gravity)
+    gravity = lax.select(landed, jnp.float32(0), gravity)
     gravity = lax.select(plant, _PLANT_GRAVITY, gravity)
     gravity = lax.select(dead, _FALL_GRAVITY, gravity)
     changes = moving | falls | lives_in_pipe
@@ -257,9 +260,9 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
 
 def _bump_if_solid(tick: Tick, cell: Cell, x: Array, y: Array) -> Tick:
     """A shell at (x, y) bumps the tile of a probe that is not free."""
-    own = (cell.column == tile_of(x)) & (cell.row == tile_of(y))
+    is_current = (cell.column == tile_of(x)) & (cell.row == tile_of(y))
     blocks = (behavior(tile_at(tick.world.tiles, cell)) & np.int32(BLOCKS)) != 0
-    return bump(tick, cell, jnp.bool_(True), blocks & ~own)
+    return bump(tick, cell, jnp.bool_(True), blocks & ~is_current)
 
 
 def sprite_shape(kind: Array) -> Shape:

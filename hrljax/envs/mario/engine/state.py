@@ -1,8 +1,9 @@
 """The state of the game: Mario, the other sprites, the level as it is being changed.
 
 Units are those of the original: pixels, x to the right, y down, origin top left; a tile is 16 pixels;
-one tick is a 24th of a second. A thing's (x, y) is the middle of its lower edge. Everything is for
-one game; a batch of games is a batch of these trees (`jax.vmap`).
+one tick is a 24th of a second. A thing's (x, y) is the middle of its lower edge. More is in
+docs/mario_engine.md, "Coordinates and units". Everything is for one game; a batch of games is a batch
+of these trees (`jax.vmap`).
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from jax import Array, lax
 from hrljax.envs.mario.levels.level import MONSTERS, PIRANHA
 
 MAX_SPRITES = 32
-"""Places for sprites; at most 32, as sets of places are bits of one word. No recorded game needs more than 16."""
+"""Places for sprites; at most 32, as sets of places are bits of one word. No recorded game has more than 14 at once."""
 
 MUSHROOM, FLOWER, FIREBALL, SHELL = range(PIRANHA + 1, PIRANHA + 5)
 """Kinds of sprites besides the monsters of `hrljax.envs.mario.levels.level`, whose numbers 1 to 5 are theirs too."""

@@ -1,7 +1,8 @@
 """Levels as the 2009 competition's program generates them, from a seed, a type and a difficulty.
 
 Runs on the host, a few milliseconds a level. The same arguments give the same tiles, monsters and
-exit as the original program, so every draw below stands in the original's order.
+exit as the original program, so every draw below stands in the original's order, which is told in
+docs/mario_engine.md, "Level generation".
 """
 
 from collections.abc import Sequence
@@ -95,7 +96,7 @@ class _Draft:
 
     def _sections(self) -> int:
         """Draws sections until the last stretch; returns the column behind them."""
-        kinds = (self._straight, self._hills, self._tubes, self._jump, self._nothing)
+        kinds = (self._straight, self._hills, self._tubes, self._jump, self._cannons)
         hills = 10 if self.level_type == OVERGROUND else 0
         weights = (20, hills, 2 + self.difficulty, 2 * self.difficulty, max(0, 5 * self.difficulty - 10))
         starts = np.cumsum((0, *weights)).tolist()
@@ -106,8 +107,8 @@ class _Draft:
             length += kinds[kind](length, self.columns - length)
         return length
 
-    def _nothing(self, left: int, longest: int) -> int:
-        """In the place of cannons, which the competition turned off."""
+    def _cannons(self, left: int, longest: int) -> int:
+        """No columns: the competition turned cannons off."""
         return 0
 
     def _floor(self) -> int:
@@ -200,11 +201,11 @@ class _Draft:
 
     def _hill_column(self, x: int, top: int, floor: int, place: int) -> None:
         for y in range(top, floor):
-            there = self._get(x, y)
-            if there == EMPTY:
+            tile = self._get(x, y)
+            if tile == EMPTY:
                 self._put(x, y, (HILL_TOPS if y == top else HILL_BODIES)[place])
-            elif there in (HILL_TOPS[0], HILL_TOPS[2]):
-                self._put(x, y, HILL_TOPS_JOINED[HILL_TOPS.index(there)])
+            elif tile in (HILL_TOPS[0], HILL_TOPS[2]):
+                self._put(x, y, HILL_TOPS_JOINED[HILL_TOPS.index(tile)])
 
     def _tubes(self, left: int, longest: int) -> int:
         below = self.below
@@ -227,7 +228,7 @@ class _Draft:
         return length
 
     def _jump(self, left: int, longest: int) -> int:
-        """A pit between two banks, which may rise as stairs; as long as it likes."""
+        """A pit between two banks, which may rise as stairs; may be longer than `longest`."""
         bank = self.below(4) + 2
         pit = self.below(2) + 2
         length = 2 * bank + pit

@@ -1,5 +1,7 @@
 """Tile bytes of the platformer: their names, how they behave and how the competition draws them.
 
+Their table is in docs/mario_engine.md, "Tiles".
+
 A level is an array of tile bytes. Ground comes in three looks, one for each type of level; their
 bytes differ by `GROUND_OFFSETS`. The second hexadecimal digit of a ground or hill tile is its place
 from left to right, the first its place from top to bottom.
@@ -40,7 +42,7 @@ BLOCKS_FALLING = 1
 """One-way platform: blocks what moves down onto it."""
 BLOCKS = 2
 BLOCKS_RISING = 4
-"""Blocks what moves up into it; no generated tile does only that."""
+"""Blocks what moves up into it; no tile has this bit."""
 SPECIAL = 8
 """Holds a power-up."""
 BUMPABLE = 16

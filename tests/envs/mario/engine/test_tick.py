@@ -68,8 +68,8 @@ def test_laws_of_every_game(course: Course, level: int, seed: int, mode: int, ho
 
     listed = np.arange(sprites.x.shape[1]) < counts["n_sprites"][:, None]
     assert ((sprites.kind >= 1) & (sprites.kind <= 9))[listed].all()
-    for serials, here in zip(sprites.serial, listed, strict=True):
-        assert (np.diff(serials[here]) != 0).all()
+    for serials, in_use in zip(sprites.serial, listed, strict=True):
+        assert (np.diff(serials[in_use]) != 0).all()
 
 
 def test_same_alone_and_in_a_batch(course: Course):

@@ -11,6 +11,7 @@ from hrljax.envs.mario.levels.ascii import THING_CHARACTERS, TILE_CHARACTERS, Le
 from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.envs.mario.levels.level import Level
 from hrljax.envs.mario.recordings import read_levels
+from tests.maps import written_over
 from tests.mario_data import EXCERPT, LEVEL_FILES, recording
 
 SMALL = """\
@@ -52,10 +53,7 @@ type: castle
 
 
 def changed(row: int, column: int, new: str, text: str = SMALL) -> str:
-    """`text` with `new` written over what begins at a row and column, both counted from 1."""
-    lines = text.splitlines()
-    lines[row - 1] = lines[row - 1][: column - 1] + new + lines[row - 1][column - 1 + len(new) :]
-    return "\n".join(lines)
+    return written_over(text, row, column, new)
 
 
 def assert_round_trip(level: Level):
