@@ -55,7 +55,7 @@ def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
     """By name, digests of the hierarchies, options and schedules of a learner: of what they do, not of their code.
 
     Raises:
-        ValueError: as `hrljax.learners.hyperparameters.with_tabulated_schedules` and `hrljax.hierarchy.tables.tabulate`.
+        ValueError: as `hrljax.hierarchy.tables.tabulate`, or a schedule leaves its interval.
     """
     found: dict[str, str] = {}
     for name, value in with_tabulated_schedules(learner, num_episodes).settings().items():
