@@ -24,7 +24,7 @@ _EPISODES, _BINS, _POINTS, _ROUNDS = 200, 4, 4, 3
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Plan:
+class Estimate:
     """What a sweep will take. Times are extrapolated from a few short runs."""
 
     runs: int
@@ -51,7 +51,7 @@ class Plan:
         return "\n".join(f"{name:<15} {text}" for name, text in rows)
 
 
-def plan(
+def estimate(
     env: Any,
     learner: Learner,
     *,
@@ -68,7 +68,7 @@ def plan(
     chunk_size: int | None = None,
     workers: int | None = None,
     store: bool = False,
-) -> Plan:
+) -> Estimate:
     """Says what `hrljax.sweep` with the same arguments will take; takes some seconds itself.
 
     A few runs of at most 200 episodes are measured in this process. The rest of a run is taken to
@@ -108,7 +108,7 @@ def plan(
     seconds_per_chunk = measured.chunk_seconds(request.job, length)
     tables = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(learned_shapes(env, learner)))
     variables = request.schema(length).variables.values()
-    return Plan(
+    return Estimate(
         runs=num_runs,
         chunks=len(chunks),
         runs_per_chunk=length,
