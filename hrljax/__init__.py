@@ -31,7 +31,7 @@ from hrljax.learners.roots.model import ModelRoot  # noqa: E402
 from hrljax.learners.roots.random import RandomRoot  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
 from hrljax.search.best_first import best_first_search  # noqa: E402
-from hrljax.sweeps.estimate import plan  # noqa: E402
+from hrljax.sweeps.estimate import estimate  # noqa: E402
 from hrljax.sweeps.io import load, save  # noqa: E402
 from hrljax.sweeps.learned import Learned  # noqa: E402
 from hrljax.sweeps.processes import processes  # noqa: E402
@@ -68,11 +68,11 @@ __all__ = [
     "TabularEnvironment",
     "best_first_search",
     "check",
+    "estimate",
     "inaccessible",
     "load",
     "make",
     "options_from",
-    "plan",
     "plots",
     "primitive_options",
     "processes",

@@ -47,7 +47,7 @@ def test_examples_run(document: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     if any("dask" in block for block in code):
         pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
     monkeypatch.chdir(tmp_path)
-    for name in ("sweep", "plan"):
+    for name in ("sweep", "estimate"):
         monkeypatch.setattr(hrljax, name, small(getattr(hrljax, name)))
     namespace: dict[str, Any] = {"__name__": "__main__"}
     with patch.dict(registry._ENVIRONMENTS), patch.dict(gymnasium.registry):

@@ -9,11 +9,9 @@ import numpy as np
 from hrljax.engine import batch
 from hrljax.sweeps import chunk_file
 from hrljax.sweeps.descriptions import FIRST_VERSION, describe_store
-from hrljax.sweeps.schema import Labels
+from hrljax.sweeps.job import STEPS
+from hrljax.sweeps.schema import Schema
 from hrljax.sweeps.versions import ComputedBy, Versions
-
-_STEPS = "steps"
-"""A variable of every sweep, finite where a run is finished."""
 
 
 class DamagedChunkError(ValueError):
@@ -51,32 +49,32 @@ class Chunks:
     tell_versions = True
     """Whether the files say which versions computed them."""
 
-    def __init__(self, path: Path, labels: Labels, chunk_size: int, settings: str):
+    def __init__(self, path: Path, schema: Schema, chunk_size: int, settings: str):
         """
         Args:
             path: the folder of the store.
-            labels: names and places of the sweep's values.
+            schema: names and places of the sweep's values.
             chunk_size: most seeds of a chunk.
             settings: digest of the sweep's settings.
         """
-        self.path, self.labels, self.chunk_size, self.settings = path, labels, chunk_size, settings
-        self.names = sorted(labels.variables, key=lambda name: name == _STEPS)
+        self.path, self.schema, self.chunk_size, self.settings = path, schema, chunk_size, settings
+        self.names = sorted(schema.variables, key=lambda name: name == STEPS)
         """In the order in which files are written. Those of the first version are finished when their steps are."""
 
     def all(self) -> list[range]:
         """The runs of every chunk."""
-        return batch.chunks_of(self.labels.num_rows, self.chunk_size, within=self.labels.seeds)
+        return batch.chunks_of(self.schema.grid.num_runs, self.chunk_size, within=self.schema.grid.seeds)
 
     def file(self, name: str, chunk: range) -> Path:
         """Where a variable of a chunk is."""
-        *point, seed = np.unravel_index(chunk.start, self.labels.shape)
-        dims = len(self.labels.variables[name].dims)
+        *point, seed = np.unravel_index(chunk.start, self.schema.grid.shape)
+        dims = len(self.schema.variables[name].dims)
         return self.path.joinpath(name, "c", *map(str, (*point, seed // self.chunk_size, *[0] * dims)))
 
     def where(self, file: Path, chunk: range) -> str:
         """A file of the store and the runs whose values it holds, as text."""
-        *point, seed = np.unravel_index(chunk.start, self.labels.shape)
-        axes = zip(self.labels.columns.items(), point, strict=True)
+        *point, seed = np.unravel_index(chunk.start, self.schema.grid.shape)
+        axes = zip(self.schema.grid.axes.items(), point, strict=True)
         combination = [f"{name}={values[index]}" for (name, values), index in axes]
         seeds = f"seeds {seed} to {seed + len(chunk) - 1}"
         return f"{file.relative_to(self.path).as_posix()} ({', '.join([*combination, seeds])})"
@@ -108,14 +106,14 @@ class Chunks:
 
     def content(self, name: str, chunk: range, part: Part) -> bytes:
         """The file of a variable of a chunk of which a part is finished."""
-        variable, finished = self.labels.variables[name], part.values[name]
+        variable, finished = self.schema.variables[name], part.values[name]
         whole = np.full((self.chunk_size, *variable.shape), variable.unfinished)
         whole[: len(finished)] = finished
         return chunk_file.encode(whole, self._label(name, chunk, part.computed_by))
 
     def _label(self, name: str, chunk: range, computed_by: ComputedBy) -> chunk_file.Label:
         file = self.file(name, chunk).relative_to(self.path).as_posix()
-        return chunk_file.Label(self.settings, file, self.chunk_size, chunk.start % self.labels.seeds, computed_by)
+        return chunk_file.Label(self.settings, file, self.chunk_size, chunk.start % self.schema.grid.seeds, computed_by)
 
     def _decoded(self, name: str, chunk: range, content: bytes) -> tuple[np.ndarray, ComputedBy]:
         """``[chunk_size, ...]`` values of a chunk file, and the versions that computed its finished seeds.
@@ -129,7 +127,7 @@ class Chunks:
             raise ValueError("it belongs to another store")
         if label != expected:
             raise ValueError(f"it belongs to {label.file}")
-        variable = self.labels.variables[name]
+        variable = self.schema.variables[name]
         return chunk_file.decode(content, variable.dtype, (self.chunk_size, *variable.shape)), label.computed_by
 
 
@@ -138,14 +136,14 @@ class ChunksOfFirstVersion(Chunks):
 
     tell_versions = False
 
-    def __init__(self, path: Path, labels: Labels, chunk_size: int, settings: str):
-        super().__init__(path, labels, chunk_size, settings)
-        self._description = describe_store(labels, chunk_size, FIRST_VERSION)
+    def __init__(self, path: Path, schema: Schema, chunk_size: int, settings: str):
+        super().__init__(path, schema, chunk_size, settings)
+        self._description = describe_store(schema, chunk_size, FIRST_VERSION)
 
     def content(self, name: str, chunk: range, part: Part) -> bytes:
         array = self._description.arrays[name]
         values = part.values[name]
-        array[self._selection(chunk)] = values.reshape(*[1] * len(self.labels.columns), *values.shape).astype(
+        array[self._selection(chunk)] = values.reshape(*[1] * len(self.schema.grid.axes), *values.shape).astype(
             array.dtype
         )
         return self._description.content.pop(self._key(name, chunk)).to_bytes()
@@ -159,15 +157,15 @@ class ChunksOfFirstVersion(Chunks):
             raise ValueError(str(error)) from error
         finally:
             del contents[key]
-        values = values.reshape(len(chunk), *values.shape[len(self.labels.dims) :])
-        finished = int(np.isfinite(values).cumprod().sum()) if name == _STEPS else len(values)
+        values = values.reshape(len(chunk), *values.shape[len(self.schema.grid.dims) :])
+        finished = int(np.isfinite(values).cumprod().sum()) if name == STEPS else len(values)
         return values, [(finished, {})]
 
     def _key(self, name: str, chunk: range) -> str:
         return self.file(name, chunk).relative_to(self.path).as_posix()
 
     def _selection(self, chunk: range) -> tuple[Any, ...]:
-        *point, seed = (int(i) for i in np.unravel_index(chunk.start, self.labels.shape))
+        *point, seed = (int(i) for i in np.unravel_index(chunk.start, self.schema.grid.shape))
         return (*(slice(i, i + 1) for i in point), slice(seed, seed + len(chunk)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from hrljax.engine.start import LEARNED, Start, Startable, checked_start, learned_shapes, step_words, tree_of
 from hrljax.learners.base import Learner
 from hrljax.sweeps.fingerprint import differences
-from hrljax.sweeps.schema import Labels
+from hrljax.sweeps.schema import Grid
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,7 +43,7 @@ def episodes_of(dataset: xr.Dataset) -> int:
     return int(dataset.attrs.get(_EPISODES_BEFORE, 0)) + int(dataset.attrs["num_episodes"])
 
 
-def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_episodes: int) -> Continuation:
+def continuation(start: Any, env: Any, learner: Learner, grid: Grid, num_episodes: int) -> Continuation:
     """Where the runs of a sweep start, for `start` as of `hrljax.sweep`.
 
     Raises:
@@ -52,7 +52,7 @@ def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_epi
     if isinstance(start, Startable) and not isinstance(start, type):
         begin = checked_start(start, env, learner, num_episodes)
         same = jax.tree.map(np.asarray, {"learned": begin.learned, "step_words": begin.step_words})
-        rows = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (labels.num_rows, *leaf.shape)), same)
+        rows = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (grid.num_runs, *leaf.shape)), same)
         return Continuation(int(begin.episodes), rows)
     import xarray as xr  # here, because importing it takes longer than the rest of hrljax
 
@@ -62,10 +62,10 @@ def continuation(start: Any, env: Any, learner: Learner, labels: Labels, num_epi
         )
     check_origin("start", start, env, learner)
     names = names_of_tables("start", start)
-    runs = _runs(start, labels)
-    named = {name: _rows(runs[name], labels) for name in names}
-    learned = tree_of(learned_shapes(env, learner), named, (labels.num_rows,))
-    rows = {"learned": learned, "step_words": step_words(_rows(runs["steps"], labels))}
+    runs = _runs(start, grid)
+    named = {name: _rows(runs[name], grid) for name in names}
+    learned = tree_of(learned_shapes(env, learner), named, (grid.num_runs,))
+    rows = {"learned": learned, "step_words": step_words(_rows(runs["steps"], grid))}
     first = Start(episodes=episodes_of(start), **jax.tree.map(lambda leaf: leaf[0], rows))
     checked_start(first, env, learner, num_episodes)
     return Continuation(first.episodes, rows)
@@ -87,9 +87,9 @@ def names_of_tables(what: str, dataset: xr.Dataset) -> list[str]:
     return tables
 
 
-def _runs(start: xr.Dataset, labels: Labels) -> xr.Dataset:
+def _runs(start: xr.Dataset, grid: Grid) -> xr.Dataset:
     """Of the runs in a dataset, those that the runs of a sweep start from."""
-    wanted = {str(dim): labels.coordinates.get(str(dim)) for dim in start["steps"].dims}
+    wanted = {str(dim): grid.coordinates.get(str(dim)) for dim in start["steps"].dims}
     for dim, values in wanted.items():
         if values is None:
             raise ValueError(f"start has an axis {dim!r}, which this sweep has not; select one of its values first")
@@ -102,12 +102,12 @@ def _runs(start: xr.Dataset, labels: Labels) -> xr.Dataset:
     return runs
 
 
-def _rows(values: xr.DataArray, labels: Labels) -> np.ndarray:
+def _rows(values: xr.DataArray, grid: Grid) -> np.ndarray:
     """The values of the run that each run of a sweep starts from, ``[rows, ...]``.
 
     Runs that differ in an axis that the values do not have start from the same one.
     """
-    whole = values.expand_dims({d: n for d, n in zip(labels.dims, labels.shape, strict=True) if d not in values.dims})
-    inner = [dim for dim in values.dims if dim not in labels.dims]
-    array = whole.transpose(*labels.dims, *inner).values
-    return array.reshape(labels.num_rows, *array.shape[len(labels.dims) :])
+    whole = values.expand_dims({d: n for d, n in zip(grid.dims, grid.shape, strict=True) if d not in values.dims})
+    inner = [dim for dim in values.dims if dim not in grid.dims]
+    array = whole.transpose(*grid.dims, *inner).values
+    return array.reshape(grid.num_runs, *array.shape[len(grid.dims) :])

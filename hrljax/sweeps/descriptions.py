@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hrljax.sweeps.chunk_file import COMPRESSION
-from hrljax.sweeps.schema import Labels, describe
+from hrljax.sweeps.schema import SEED, Schema, describe
 
 FIRST_VERSION, NEWEST_VERSION = 1, 2
 """Of the format: labels of chunks came with the second."""
 ROOT = "zarr.json"
 """The file with the settings and the descriptions of all arrays."""
-SEED = "seed"
 _SEEDS_OF_A_FILE = 1024
 """Of the coordinate: its files are full to the end, so that those of more seeds begin with those of fewer."""
 
@@ -40,11 +39,11 @@ class Description(NamedTuple):
         return {ROOT: settings, **{name: c.to_bytes() for name, c in self.content.items() if name != ROOT}}
 
 
-def describe_store(labels: Labels, chunk_size: int, version: int, seeds_of_a_file: int | None = None) -> Description:
+def describe_store(schema: Schema, chunk_size: int, version: int, seeds_of_a_file: int | None = None) -> Description:
     """Makes the store without its chunks.
 
     Args:
-        labels: names and places of the sweep's values.
+        schema: names and places of the sweep's values.
         chunk_size: most seeds of a chunk.
         version: of the format.
         seeds_of_a_file: of the coordinate, where it is there already.
@@ -58,12 +57,12 @@ def describe_store(labels: Labels, chunk_size: int, version: int, seeds_of_a_fil
     arrays: dict[str, Any] = {}
     store = MemoryStore(store_dict=content)
     group = zarr.create_group(store=store)
-    for name, variable in labels.variables.items():
-        dims = (*labels.dims, *variable.dims)
-        shape = (*labels.shape, *variable.shape)
-        chunks = (*[1] * len(labels.columns), chunk_size, *variable.shape)
+    for name, variable in schema.variables.items():
+        dims = (*schema.grid.dims, *variable.dims)
+        shape = (*schema.grid.shape, *variable.shape)
+        chunks = (*[1] * len(schema.grid.axes), chunk_size, *variable.shape)
         arrays[name] = _array(group, name, shape, chunks, dims, variable.unfinished, variable.attributes, of_chunks)
-    for name, values in labels.coordinates.items():
+    for name, values in schema.coordinates.items():
         size = len(values)
         if name == SEED:
             size = seeds_of_a_file or (size if version == FIRST_VERSION else _SEEDS_OF_A_FILE)

@@ -17,14 +17,14 @@ from hrljax.engine import batch
 from hrljax.engine.start import learned_shapes
 from hrljax.learners.base import Learner
 from hrljax.sweeps.job import Job
-from hrljax.sweeps.sweep import Checked, check
+from hrljax.sweeps.request import SweepRequest
 
 _EPISODES, _BINS, _POINTS, _ROUNDS = 200, 4, 4, 3
 """Of the measured run: episodes, bins, combinations of hyper-parameters, repetitions."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Plan:
+class Estimate:
     """What a sweep will take. Times are extrapolated from a few short runs."""
 
     runs: int
@@ -51,7 +51,7 @@ class Plan:
         return "\n".join(f"{name:<15} {text}" for name, text in rows)
 
 
-def plan(
+def estimate(
     env: Any,
     learner: Learner,
     *,
@@ -68,7 +68,7 @@ def plan(
     chunk_size: int | None = None,
     workers: int | None = None,
     store: bool = False,
-) -> Plan:
+) -> Estimate:
     """Says what `hrljax.sweep` with the same arguments will take; takes some seconds itself.
 
     A few runs of at most 200 episodes are measured in this process. The rest of a run is taken to
@@ -88,7 +88,7 @@ def plan(
         if value is not None:
             checks.integer(name, value, 1)
     checks.flag("store", store)
-    checked = check(
+    request = SweepRequest.checked(
         env,
         learner,
         seeds=seeds,
@@ -101,22 +101,21 @@ def plan(
         keep_learned=keep_learned,
         mapping=mapping,
     )
-    labels, job = checked.labels, checked.job
-    length, chunks = checked.chunks(cores, chunk_size, portable=store or workers is not None)
-    in_process = 1 if checked.mapping == "vmap" else cores or batch.usable_cores()
-    at_once = min(workers or in_process, len(chunks))
-    measured = _Measured(checked, length)
-    seconds_per_chunk = measured.chunk_seconds(job, length)
+    length, chunks = request.chunks(cores, chunk_size, portable=store or workers is not None)
+    in_lockstep, num_runs = request.mapping == "vmap", request.grid.num_runs
+    at_once = min(workers or (1 if in_lockstep else cores or batch.usable_cores()), len(chunks))
+    measured = _Measured(request, length)
+    seconds_per_chunk = measured.chunk_seconds(request.job, length)
     tables = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(learned_shapes(env, learner)))
-    result = sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in labels.variables.values())
-    return Plan(
-        runs=labels.num_rows,
+    variables = request.schema(length).variables.values()
+    return Estimate(
+        runs=num_runs,
         chunks=len(chunks),
         runs_per_chunk=length,
         at_once=at_once,
-        result_bytes=labels.num_rows * result,
-        working_bytes=at_once * tables * (length if checked.mapping == "vmap" else 1),
-        steps=labels.num_rows * float(measured.steps_per_run(num_episodes).mean()),
+        result_bytes=num_runs * sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in variables),
+        working_bytes=at_once * tables * (length if in_lockstep else 1),
+        steps=num_runs * float(measured.steps_per_run(num_episodes).mean()),
         seconds_per_chunk=seconds_per_chunk,
         compile_seconds=measured.compile_seconds,
         seconds=measured.compile_seconds + -(-len(chunks) // at_once) * seconds_per_chunk,
@@ -126,13 +125,13 @@ def plan(
 class _Measured:
     """Short runs: of one chunk under `vmap`, else of a few combinations of hyper-parameters."""
 
-    def __init__(self, checked: Checked, length: int):
-        labels, job = checked.labels, checked.job
-        self.lockstep = checked.mapping == "vmap"
-        points = labels.num_rows // labels.seeds
-        few = np.unique(np.linspace(0, points - 1, min(points, _POINTS)).astype(int)) * labels.seeds
+    def __init__(self, request: SweepRequest, length: int):
+        grid, job = request.grid, request.job
+        self.lockstep = request.mapping == "vmap"
+        points = grid.num_runs // grid.seeds
+        few = np.unique(np.linspace(0, points - 1, min(points, _POINTS)).astype(int)) * grid.seeds
         index = np.arange(length) if self.lockstep else few
-        self.rows = jax.tree.map(lambda a: a[index], checked.rows())
+        self.rows = jax.tree.map(lambda a: a[index], request.rows)
         self.count, self.episodes = len(index), min(job.num_episodes, _EPISODES)
         size = -(-self.episodes // _BINS)
         short = dataclasses.replace(

@@ -16,7 +16,7 @@ from hrljax.learners.base import Learner
 from hrljax.learners.hyperparameters import Tabulated, with_tabulated_schedules
 from hrljax.learners.options.definition import Options
 from hrljax.sweeps import versions
-from hrljax.sweeps.job import ENV_PREFIX
+from hrljax.sweeps.axes import env_name, is_of_env
 
 SWEPT = "swept"
 """Value of the attribute of a hyper-parameter that has an axis of its own."""
@@ -24,17 +24,21 @@ SWEPT = "swept"
 
 def attributes(env: Any, learner: Learner, params: Any, key: Array, swept: Mapping[str, Any]) -> dict[str, Any]:
     """Every setting of a sweep by name, as text or numbers."""
-    found = {f"learner.{name}": as_attribute(value) for name, value in learner.settings().items()}
-    found |= {ENV_PREFIX + name: as_attribute(value) for name, value in params._asdict().items()}
-    found |= {name if name.startswith(ENV_PREFIX) else f"learner.{name}": SWEPT for name in swept}
+    settings = {_learner_name(name): as_attribute(value) for name, value in learner.settings().items()}
+    settings |= {env_name(name): as_attribute(value) for name, value in params._asdict().items()}
+    settings |= {name if is_of_env(name) else _learner_name(name): SWEPT for name in swept}
     return {
         "environment": env.name,
         "learner": learner.name,
-        **found,
-        **{ENV_PREFIX + name: str(value) for name, value in options(env).items()},
+        **settings,
+        **{env_name(name): str(value) for name, value in options(env).items()},
         **versions.as_attributes([versions.installed()]),
         "key": json.dumps(np.asarray(jax.random.key_data(key)).tolist()),
     }
+
+
+def _learner_name(setting: str) -> str:
+    return f"learner.{setting}"
 
 
 def options(env: Any) -> dict[str, Any]:

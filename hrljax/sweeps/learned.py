@@ -25,9 +25,9 @@ from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
 from hrljax.learners.base import Learner, outside_of_training
 from hrljax.learners.hyperparameters import Settings
 from hrljax.learners.options.definition import Options
+from hrljax.sweeps.axes import env_name, of_learner
 from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables
 from hrljax.sweeps.fingerprint import as_attribute, differences, hierarchy_digest, options, options_digest
-from hrljax.sweeps.job import ENV_PREFIX
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -100,7 +100,7 @@ class Learned:
         run = dataset.sel(point)
         if not np.isfinite(run["steps"]):
             raise ValueError(f"the run of seed {seed} at {at} is not finished")
-        learner = learner.replaced({name: value for name, value in at.items() if not name.startswith(ENV_PREFIX)})
+        learner = learner.replaced(of_learner(at))
         named = {name: run[name].values for name in names_of_tables("the dataset", run)}
         tables = tree_of(learned_shapes(env, learner), named)
         return cls(env, learner, tables, episodes=episodes_of(dataset), steps=int(run["steps"]))
@@ -270,7 +270,7 @@ def _option(value: Any) -> Any:
 
 def _flat(header: dict[str, Any]) -> dict[str, Any]:
     settings = {f"learner.{name}": value for name, value in header["settings"].items()}
-    own = {ENV_PREFIX + name: value for name, value in header["options"].items()}
+    own = {env_name(name): value for name, value in header["options"].items()}
     return {"environment": header["environment"], "learner": header["learner"], **own, **settings}
 
 

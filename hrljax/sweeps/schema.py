@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax
 import numpy as np
+
+from hrljax.sweeps.axes import Axes
+from hrljax.sweeps.job import EPISODE, RunValues
 
 if TYPE_CHECKING:
     import xarray as xr
 
+SEED = "seed"
+"""The last dimension of runs."""
 _DESCRIPTIONS = {
     "return": {"long_name": "return per episode"},
     "length": {"long_name": "steps per episode", "units": "steps"},
-    "episode": {"long_name": "last episode of the bin", "units": "episodes"},
+    EPISODE: {"long_name": "last episode of the bin", "units": "episodes"},
 }
 
 
@@ -25,42 +32,63 @@ class Variable(NamedTuple):
     attributes: dict[str, str]
 
     @property
-    def unfinished(self) -> Any:
+    def unfinished(self) -> np.generic:
         """The value where a run is not finished."""
         return self.dtype.type(np.nan if self.dtype.kind == "f" else 0)
 
 
-class Labels(NamedTuple):
-    """Runs lie in the order of the axes, the first slowest, and then of the seeds."""
+class Grid(NamedTuple):
+    """The runs of a sweep, in the order of the axes, the first slowest, and then of the seeds."""
 
-    columns: dict[str, list[float]]  # values along each axis
+    axes: Axes
     seeds: int
-    coordinates_of_run: dict[str, np.ndarray]
-    variables: dict[str, Variable]
-
-    def after(self, episodes: int) -> Labels:
-        """The same of runs that have learned from some episodes before: every coordinate of a run counts episodes."""
-        return self._replace(coordinates_of_run={n: ends + episodes for n, ends in self.coordinates_of_run.items()})
 
     @property
     def dims(self) -> tuple[str, ...]:
         """Dimensions of runs."""
-        return (*self.columns, "seed")
+        return (*self.axes, SEED)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Numbers of runs."""
-        return (*map(len, self.columns.values()), self.seeds)
+        return (*map(len, self.axes.values()), self.seeds)
 
     @property
-    def num_rows(self) -> int:
+    def num_runs(self) -> int:
         """All runs."""
         return int(np.prod(self.shape))
 
     @property
     def coordinates(self) -> dict[str, np.ndarray]:
-        axes = {name: np.array(values, np.float64) for name, values in self.columns.items()}
-        return {**axes, "seed": np.arange(self.seeds), **self.coordinates_of_run}
+        """Of every dimension of runs."""
+        axes = {name: np.array(values, np.float64) for name, values in self.axes.items()}
+        return {**axes, SEED: np.arange(self.seeds)}
+
+
+class Schema(NamedTuple):
+    """What a sweep's dataset and store hold of every run."""
+
+    grid: Grid
+    coordinates_of_run: dict[str, np.ndarray]
+    variables: dict[str, Variable]
+
+    @property
+    def coordinates(self) -> dict[str, np.ndarray]:
+        """Of runs, and of what each of them holds."""
+        return {**self.grid.coordinates, **self.coordinates_of_run}
+
+
+def variables_of(run: RunValues[jax.ShapeDtypeStruct]) -> dict[str, Variable]:
+    """The variables of a sweep, of the shapes of what one run gives.
+
+    What is measured is float64, where NaN stands for unfinished runs; learned tables keep their dtypes.
+    """
+
+    leaves = ((place, run.by_name[place.name]) for place in run.places)
+    return {
+        name: Variable(dims, leaf.shape[: len(dims)], np.dtype(leaf.dtype if is_table else np.float64), describe(name))
+        for (name, dims, is_table), leaf in leaves
+    }
 
 
 def describe(name: str) -> dict[str, str]:
@@ -68,23 +96,25 @@ def describe(name: str) -> dict[str, str]:
     return dict(_DESCRIPTIONS.get(name, {}))
 
 
-def dataset(labels: Labels, values: dict[str, np.ndarray], finished: np.ndarray, attributes: Any) -> xr.Dataset:
+def dataset(
+    schema: Schema, values: Mapping[str, np.ndarray], finished: np.ndarray, attributes: Mapping[str, Any]
+) -> xr.Dataset:
     """The labelled values of all runs.
 
     Args:
-        labels: their names and places.
-        values: by name, ``[rows, ...]``.
-        finished: ``[rows]`` bool: whether the values of a run count.
+        schema: their names and places.
+        values: by name, ``[runs, ...]``.
+        finished: ``[runs]`` bool: whether the values of a run count.
         attributes: of the dataset.
     """
     import xarray as xr  # here, because importing it takes longer than the rest of hrljax
 
-    found = {}
-    for name, variable in labels.variables.items():
-        own = np.array(values[name], variable.dtype)
-        own[~finished] = variable.unfinished
-        found[name] = xr.Variable(
-            (*labels.dims, *variable.dims), own.reshape(*labels.shape, *variable.shape), variable.attributes
-        )
-    coordinates = {name: xr.Variable((name,), own, describe(name)) for name, own in labels.coordinates.items()}
-    return xr.Dataset(found, coordinates, attributes)
+    grid = schema.grid
+    variables = {}
+    for name, variable in schema.variables.items():
+        array = np.array(values[name], variable.dtype)
+        array[~finished] = variable.unfinished
+        dims, shape = (*grid.dims, *variable.dims), (*grid.shape, *variable.shape)
+        variables[name] = xr.Variable(dims, array.reshape(shape), variable.attributes)
+    coordinates = {name: xr.Variable((name,), along, describe(name)) for name, along in schema.coordinates.items()}
+    return xr.Dataset(variables, coordinates, attributes)

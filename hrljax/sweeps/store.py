@@ -24,8 +24,9 @@ from hrljax.core.files import PARTIAL, make_folder, with_reason, write_atomicall
 from hrljax.engine.batch import Collected
 from hrljax.sweeps import versions
 from hrljax.sweeps.chunks import DamagedChunkError, Part, chunks_of_version
-from hrljax.sweeps.descriptions import ROOT, SEED, describe_store
-from hrljax.sweeps.schema import Labels
+from hrljax.sweeps.descriptions import ROOT, describe_store
+from hrljax.sweeps.request import SweepRequest
+from hrljax.sweeps.schema import SEED
 from hrljax.sweeps.store_attributes import (
     COMPLETE,
     SETTINGS,
@@ -46,16 +47,14 @@ class Store:
     def __init__(
         self,
         path: str | Path,
-        labels: Labels,
-        attributes: dict[str, Any],
+        request: SweepRequest,
         chunk_size: int,
         allow_other_versions: bool = False,
     ):
         """
         Args:
             path: the folder of the store.
-            labels: names and places of the sweep's values.
-            attributes: every setting that values depend on, and the versions of packages.
+            request: the sweep.
             chunk_size: seeds of a chunk.
             allow_other_versions: whether to continue a store that was computed under other versions.
 
@@ -63,16 +62,15 @@ class Store:
             FileExistsError: there is something else at `path`.
             ValueError: there is a store of another sweep; the message says what differs.
         """
-        self.path = Path(path)
-        new = new_attributes(attributes, chunk_size)
+        self.path, self._request, self._chunk_size = Path(path), request, chunk_size
+        new = new_attributes(request.identity, chunk_size)
         self._on_disk = attributes_on_disk(self.path)
         self.attributes = (
             new if self._on_disk is None else continued_attributes(self.path, self._on_disk, new, allow_other_versions)
         )
-        kind = chunks_of_version(self.attributes[VERSION])
-        self._chunks = kind(self.path, labels, chunk_size, new[SETTINGS])
+        self._settings = new[SETTINGS]
         self._begun: dict[int, Part] = {}  # by the end of the chunk, what was finished of it before
-        self._versions = versions.VersionsOfRuns(labels.num_rows, versions.from_attributes(self.attributes))
+        self._versions = versions.VersionsOfRuns(request.grid.num_runs, versions.from_attributes(self.attributes))
         self._locks = contextlib.ExitStack()
 
     def __enter__(self) -> Store:
@@ -87,6 +85,8 @@ class Store:
             self._lock()
             for partial in self.path.rglob("*" + PARTIAL):
                 partial.unlink()
+            kind, schema = chunks_of_version(self.attributes[VERSION]), self._request.schema(self._chunk_size)
+            self._chunks = kind(self.path, schema, self._chunk_size, self._settings)
             self._write_descriptions()
             undone.pop_all()
         return self
@@ -212,8 +212,8 @@ class Store:
         """
         root = self.path / ROOT
         old = parsed_root(root.read_bytes()) if root.exists() else None
-        labels, version = self._chunks.labels, self.attributes[VERSION]
-        self._description = describe_store(labels, self._chunks.chunk_size, version, _seeds_of_a_file(old))
+        schema, version = self._chunks.schema, self.attributes[VERSION]
+        self._description = describe_store(schema, self._chunk_size, version, _seeds_of_a_file(old))
         contents = self._description.files(self.attributes)
         before_root = [name for name in contents if name.startswith(f"{SEED}/c/") and old is not None]
         for name in dict.fromkeys([*before_root, *contents]):

@@ -11,8 +11,10 @@ from typing import Any
 
 from hrljax.core.files import PARTIAL, with_reason
 from hrljax.sweeps import chunk_file, versions
-from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT, SEED
+from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT
 from hrljax.sweeps.fingerprint import differences
+from hrljax.sweeps.job import STEPS
+from hrljax.sweeps.schema import SEED
 
 FORMAT = {"store_format": "hrljax sweep", "store_version": NEWEST_VERSION}
 CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS, VERSION = "chunk_size", "complete", "seeds", "settings_digest", "store_version"
@@ -140,7 +142,7 @@ def parsed_root(content: bytes) -> dict[str, Any] | None:
 
 def has_lost_its_root(path: Path) -> bool:
     """Whether a folder without a readable root was the store of a sweep."""
-    return all((path / name).is_dir() for name in (SEED, "steps"))
+    return all((path / name).is_dir() for name in (SEED, STEPS))
 
 
 def _attributes_from_labels(path: Path) -> dict[str, Any] | None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from hrljax.engine.batch import Collected
 from hrljax.sweeps.chunks import Chunks, DamagedChunkError, chunks_of_version
-from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT, SEED
-from hrljax.sweeps.schema import Labels, Variable, dataset
+from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT
+from hrljax.sweeps.schema import SEED, Grid, Schema, Variable, dataset
 from hrljax.sweeps.store_attributes import CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS, VERSION
 from hrljax.sweeps.versions import VersionsOfRuns, from_attributes
 
@@ -39,19 +39,19 @@ def load_store(path: Path, root: Mapping[str, Any]) -> xr.Dataset:
     if version not in (FIRST_VERSION, NEWEST_VERSION):
         raise ValueError(f"the store {path} has version {version} of the format, known are 1 and 2")
     try:
-        labels = _labels(path, attributes, root["consolidated_metadata"]["metadata"])
+        schema = _schema(path, attributes, root["consolidated_metadata"]["metadata"])
         chunk_size, settings = attributes[CHUNK_SIZE], attributes.get(SETTINGS, "")
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the store {path} is damaged: {ROOT} ({error!r}); {MENDED}") from error
-    chunks = chunks_of_version(version)(path, labels, chunk_size, settings)
-    collected = Collected(labels.num_rows)
-    collected.values = {n: np.zeros((labels.num_rows, *v.shape), v.dtype) for n, v in labels.variables.items()}
-    versions = VersionsOfRuns(labels.num_rows, from_attributes(attributes))
+    chunks = chunks_of_version(version)(path, schema, chunk_size, settings)
+    collected = Collected(schema.grid.num_runs)
+    collected.values = {n: np.zeros((schema.grid.num_runs, *v.shape), v.dtype) for n, v in schema.variables.items()}
+    versions = VersionsOfRuns(schema.grid.num_runs, from_attributes(attributes))
     _collect(chunks, collected, versions)
     if chunks.tell_versions and collected.finished.any():
         versions.keep_used()
     attributes[COMPLETE] = int(collected.finished.all())
-    return versions.record_in(dataset(labels, collected.values, collected.finished, attributes))
+    return versions.record_in(dataset(schema, collected.values, collected.finished, attributes))
 
 
 def _collect(chunks: Chunks, collected: Collected, versions: VersionsOfRuns) -> None:
@@ -71,12 +71,12 @@ def _collect(chunks: Chunks, collected: Collected, versions: VersionsOfRuns) -> 
         raise ValueError(f"the store {chunks.path} is damaged: {'; '.join(damaged[:_SAID])}{others}; {MENDED}")
 
 
-def _labels(path: Path, attributes: Mapping[str, Any], members: Mapping[str, Any]) -> Labels:
+def _schema(path: Path, attributes: Mapping[str, Any], members: Mapping[str, Any]) -> Schema:
     """Names and places of the store's values; all but coordinates of a run are in the root's file."""
-    columns = json.loads(attributes["axes"])
+    axes = json.loads(attributes["axes"])
     coordinates: dict[str, np.ndarray] = {}
     variables: dict[str, Variable] = {}
-    of_runs = [*columns, SEED]
+    of_runs = [*axes, SEED]
     for name, member in members.items():
         dims, shape, dtype = member["dimension_names"], member["shape"], np.dtype(member["data_type"])
         if dims[: len(of_runs)] == of_runs and name not in of_runs:
@@ -84,7 +84,7 @@ def _labels(path: Path, attributes: Mapping[str, Any], members: Mapping[str, Any
             variables[name] = Variable(tuple(dims[start:]), tuple(shape[start:]), dtype, member["attributes"])
         elif name not in of_runs:
             coordinates[name] = _coordinate(path, name)
-    return Labels(columns, attributes[SEEDS], coordinates, variables)
+    return Schema(Grid(axes, attributes[SEEDS]), coordinates, variables)
 
 
 def _coordinate(path: Path, name: str) -> np.ndarray:

@@ -210,7 +210,7 @@ def test_what_is_quick_or_not_asked_for_shows_nothing(capsys: pytest.CaptureFixt
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore:.*use of fork:DeprecationWarning")
-@pytest.mark.parametrize("call", ["sweep", "plan", "train"])
+@pytest.mark.parametrize("call", ["sweep", "estimate", "train"])
 def test_a_fork_of_a_process_that_uses_jax_is_told_to_spawn(call: str, jax_has_started: None):
     arguments: dict[str, Any] = {"env": hrljax.make("Maze"), "learner": hrljax.QLearning(), "num_episodes": 3}
     arguments |= {"key": np.uint32(0)} if call == "train" else {"seeds": 1}

@@ -13,7 +13,7 @@ import xarray as xr
 
 import hrljax as hrl
 from hrljax.sweeps.continuation import continuation
-from hrljax.sweeps.schema import Labels
+from hrljax.sweeps.schema import Grid
 from tests.maps import SMALL
 
 MAZE = hrl.make("Maze")
@@ -129,8 +129,8 @@ def test_a_store_whose_runs_start_alike_takes_more_seeds(halves: tuple[xr.Datase
     """Their number is not part of what they start with."""
     first, _, _, learner = halves
     one = hrl.Learned.of(first, SMALL, learner, seed=1, at={"pseudo_reward": 5.0})
-    labels = [Labels({}, seeds, {}, {}) for seeds in (2, 3)]
-    few, many = (continuation(one, SMALL, one.learner, label, SECOND).digest() for label in labels)
+    grids = [Grid({}, seeds) for seeds in (2, 3)]
+    few, many = (continuation(one, SMALL, one.learner, grid, SECOND).digest() for grid in grids)
     assert few == many
 
 

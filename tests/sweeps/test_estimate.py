@@ -1,4 +1,4 @@
-"""Plans of sweeps: counts are exact, times follow from what was measured."""
+"""Estimates of sweeps: counts are exact, times follow from what was measured."""
 
 import itertools
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import hrljax
-from hrljax.sweeps.estimate import Plan, plan
+from hrljax.sweeps.estimate import Estimate, estimate
 
 MAZE, LEARNER = hrljax.make("Maze"), hrljax.QLearning()
 SWEEP: dict[str, Any] = {"seeds": 10, "num_episodes": 1000, "axes": {"step_size": [0.125, 0.25, 0.5]}, "chunk_size": 4}
@@ -18,9 +18,9 @@ def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hrljax.sweeps.estimate.time.perf_counter", lambda: float(next(clock)))
 
 
-def test_a_plan_counts_and_extrapolates(monkeypatch: pytest.MonkeyPatch):
+def test_an_estimate_counts_and_extrapolates(monkeypatch: pytest.MonkeyPatch):
     ticking(monkeypatch)
-    found = plan(MAZE, LEARNER, **SWEEP, mapping="native", cores=2)
+    found = estimate(MAZE, LEARNER, **SWEEP, mapping="native", cores=2)
     assert (found.runs, found.chunks, found.runs_per_chunk, found.at_once) == (30, 8, 4, 2)
     per_run = 8 * (3 * 200 + 1)  # return, length and truncated in 200 bins, and the steps
     assert found.result_bytes == 30 * per_run
@@ -38,14 +38,14 @@ def test_a_plan_counts_and_extrapolates(monkeypatch: pytest.MonkeyPatch):
 def test_stores_and_workers_have_chunks_within_a_combination(monkeypatch: pytest.MonkeyPatch):
     ticking(monkeypatch)
     for options in ({"workers": 5}, {"store": True, "cores": 5}):
-        found = plan(MAZE, LEARNER, **SWEEP, mapping="native", **options)
+        found = estimate(MAZE, LEARNER, **SWEEP, mapping="native", **options)
         assert (found.chunks, found.at_once) == (9, 5)
         assert found.seconds == pytest.approx(1 + 2 * found.seconds_per_chunk)
 
 
 def test_a_chunk_in_lockstep_takes_as_long_as_its_longest_run(monkeypatch: pytest.MonkeyPatch):
     ticking(monkeypatch)
-    found = plan(MAZE, LEARNER, seeds=3, num_episodes=150, mapping="vmap", keep_learned=True)
+    found = estimate(MAZE, LEARNER, seeds=3, num_episodes=150, mapping="vmap", keep_learned=True)
     assert (found.runs, found.chunks, found.at_once, found.seconds_per_chunk) == (3, 1, 1, 1)
     tables = MAZE.num_states * MAZE.num_actions * 4
     assert found.working_bytes == 3 * tables
@@ -55,12 +55,14 @@ def test_a_chunk_in_lockstep_takes_as_long_as_its_longest_run(monkeypatch: pytes
 def test_evaluations_are_measured_apart(monkeypatch: pytest.MonkeyPatch):
     seconds = iter([0, 1, 0, 2, 0, 2, 0, 2, 0, 1, 0, 5, 0, 5, 0, 5])
     monkeypatch.setattr("hrljax.sweeps.estimate.time.perf_counter", lambda: float(next(seconds)))
-    found = plan(MAZE, LEARNER, seeds=2, num_episodes=40, bin_size=4, evaluate_every=2, mapping="native", chunk_size=2)
+    found = estimate(
+        MAZE, LEARNER, seeds=2, num_episodes=40, bin_size=4, evaluate_every=2, mapping="native", chunk_size=2
+    )
     assert found.seconds_per_chunk == pytest.approx(2 * (2 + 5 * 3))
 
 
-def test_a_plan_can_be_read():
-    found = Plan(400_000, 25_000, 16, 64, 3_210_000_000, 12_345, 3.21e12, 30.0, 4.0, 11_725.0)
+def test_an_estimate_can_be_read():
+    found = Estimate(400_000, 25_000, 16, 64, 3_210_000_000, 12_345, 3.21e12, 30.0, 4.0, 11_725.0)
     assert repr(found).splitlines() == [
         "runs            400,000",
         "chunks          25,000 of up to 16 runs, 64 at a time",
@@ -82,4 +84,4 @@ def test_a_plan_can_be_read():
 )
 def test_a_wrong_value_is_refused(wrong: dict[str, Any], message: str):
     with pytest.raises(ValueError, match=message):
-        plan(MAZE, LEARNER, **{**SWEEP, **wrong})
+        estimate(MAZE, LEARNER, **{**SWEEP, **wrong})

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,6 +14,7 @@ import xarray as xr
 
 import hrljax
 from hrljax.engine import batch
+from hrljax.engine.train import run as run_once
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.envs.grid.maze import Maze
 from tests.maps import SMALL
@@ -32,7 +34,7 @@ def grid() -> xr.Dataset:
 
 def test_dimensions_are_the_axes_then_seeds_then_bins(grid: xr.Dataset):
     assert list(grid["return"].dims) == ["root.step_size", "env.slip_probability", "seed", "episode"]
-    assert set(grid) == {"return", "length", "damage", "breakdown", "truncated", "steps"}
+    assert list(grid) == ["return", "length", "damage", "breakdown", "truncated", "steps"]
     assert {name: grid[name].values.tolist() for name in grid.coords} == {
         **AXES,
         "seed": [0, 1, 2],
@@ -97,6 +99,21 @@ def test_values_are_those_of_train_with_the_folded_key(grid: xr.Dataset):
         assert int(found.steps) == steps
         for name, values in found.metrics.items():
             np.testing.assert_array_equal(grid[name][i, j, seed], values, err_msg=name)
+
+
+def test_a_column_that_a_run_returns_is_in_the_dataset_and_in_the_store(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    def run_with_a_column(*arguments: Any, **options: Any) -> hrljax.Run:
+        run = run_once(*arguments, **options)
+        return run._replace(metrics={**run.metrics, "a column": 2 * run.metrics["length"]})
+
+    monkeypatch.setattr("hrljax.sweeps.job.run_once", run_with_a_column)
+    swept = hrljax.sweep(Maze(), hrljax.SARSA(), seeds=2, num_episodes=7, store=tmp_path / "store", progress=False)
+    assert list(swept) == ["return", "length", "truncated", "a column", "steps"]
+    for dataset in (swept, hrljax.load(tmp_path / "store")):
+        assert (dataset["a column"].dims, dataset["a column"].dtype) == (("seed", "episode"), np.float64)
+        np.testing.assert_array_equal(dataset["a column"], 2 * dataset["length"])
 
 
 def test_a_schedule_and_a_key_are_told_in_the_attributes():

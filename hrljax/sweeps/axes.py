@@ -1,0 +1,83 @@
+"""The axes of a sweep: names of hyper-parameters, and the values along each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+from jax.core import Tracer
+
+from hrljax.core import checks
+from hrljax.envs.base import concrete_params
+from hrljax.learners.base import Learner
+
+Axes: TypeAlias = "dict[str, list[float]]"
+"""By the name of a hyper-parameter: its values."""
+Value = TypeVar("Value")
+
+_OF_ENV = "env."
+
+
+def env_name(number: str) -> str:
+    """The name in a sweep of one of the environment's numbers or options, such as ``"env.slip_probability"``."""
+    return _OF_ENV + number
+
+
+def is_of_env(name: str) -> bool:
+    """Whether a hyper-parameter is one of the environment's numbers."""
+    return name.startswith(_OF_ENV)
+
+
+def of_learner(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Of values by the names of hyper-parameters, those of the learner."""
+    return {name: value for name, value in values.items() if not is_of_env(name)}
+
+
+def of_env(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Of values by the names of hyper-parameters, those of the environment, by the names that it has for them."""
+    return {name.removeprefix(_OF_ENV): value for name, value in values.items() if is_of_env(name)}
+
+
+def checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[float]] | None) -> Axes:
+    """The axes as lists of floats, each value checked as the hyper-parameter would be.
+
+    Args:
+        learner: what learns.
+        params: numbers of the environment.
+        axes: as of `hrljax.sweep`.
+
+    Raises:
+        TypeError, ValueError: an axis that cannot be swept, or a value that is not allowed.
+    """
+    axes = checks.instance("axes", {} if axes is None else axes, Mapping, "a mapping such as {'step_size': [0.1, 0.2]}")
+    names_of_learner = learner.sweepable()
+    names_of_env = [env_name(field) for field in params._fields if field != "max_steps"]
+    checked: Axes = {}
+    for name, values in axes.items():
+        if name not in names_of_learner and name not in names_of_env:
+            known = ", ".join([*names_of_learner, *names_of_env])
+            is_limit = name == env_name("max_steps")
+            why = ", for it only says where episodes are cut off: sweep once for each, with params" if is_limit else ""
+            raise ValueError(f"axes: {name!r} cannot be swept{why}; sweepable are {known}")
+        checked[name] = _numbers(name, values)
+        if not checked[name] or len(set(checked[name])) < len(checked[name]):
+            raise ValueError(f"axes: the values of {name!r} must be at least one and different, got {values!r}")
+        for value in checked[name]:
+            learner.replaced(of_learner({name: value}))
+            concrete_params(params._replace(**of_env({name: value})))
+    return checked
+
+
+def _numbers(name: str, values: object) -> list[float]:
+    """The values of an axis, if they are numbers in an order."""
+    if hasattr(values, "__array__") and not isinstance(values, Tracer):
+        values = np.asarray(values)
+    try:
+        numbers = [None] if isinstance(values, str | bytes | Set | Mapping) else list(values)  # type: ignore[call-overload]
+    except TypeError:  # it has no elements
+        numbers = [None]
+    if not all(checks.is_number(number) and not isinstance(number, Tracer) for number in numbers):
+        described = checks.described(values)
+        raise TypeError(f"axes: the values of {name!r} must be a sequence of numbers, got {described}")
+    return [float(checks.number(f"axes: {name}", number)) for number in numbers]

@@ -1,0 +1,165 @@
+"""What a sweep is asked for: its arguments, once they are found to be fine, and what follows from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+
+from hrljax.core import checks, interrupts, random
+from hrljax.engine import batch
+from hrljax.engine.run import bin_sizes, default_bin_size
+from hrljax.engine.start import Startable
+from hrljax.engine.train import check_arguments
+from hrljax.envs.base import AnyEnvironment, numbers_of
+from hrljax.envs.checks import check_before_training
+from hrljax.learners.base import Learner
+from hrljax.sweeps import fingerprint
+from hrljax.sweeps.axes import checked_axes, of_env
+from hrljax.sweeps.continuation import Continuation, continuation
+from hrljax.sweeps.job import CHECKPOINT, EPISODE, Job, Rows
+from hrljax.sweeps.schema import Grid, Schema, variables_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@jax.jit
+def _seed_words(key: Array, seeds: Array) -> Array:
+    """``[seeds, 2]`` uint32: the words of the key of each seed."""
+    return jax.random.key_data(jax.vmap(partial(jax.random.fold_in, key))(seeds))
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepRequest:
+    """Which runs a sweep consists of. Made by `checked`."""
+
+    job: Job  # what every run does
+    grid: Grid  # which runs there are
+    key: Array
+    start: Continuation | None
+
+    @classmethod
+    @interrupts.postponed()
+    def checked(
+        cls,
+        env: AnyEnvironment,
+        learner: Learner,
+        *,
+        seeds: int,
+        num_episodes: int,
+        axes: Mapping[str, Sequence[float]] | None,
+        key: Array | int,
+        params: Any,
+        bin_size: int | None,
+        evaluate_every: int | None,
+        keep_learned: bool,
+        mapping: batch.Mapping,
+        start: xr.Dataset | Startable | None = None,
+    ) -> SweepRequest:
+        """The request with these arguments of `hrljax.sweep`.
+
+        Raises:
+            TypeError, ValueError: a bad argument.
+        """
+        num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
+        seeds = checks.integer("seeds", seeds, 1)
+        keep_learned = checks.flag("keep_learned", keep_learned)
+        is_seed = checks.is_number(key, np.integer)
+        root_key: Any = jax.random.key(checks.integer("key", key, 0, 2**32 - 1)) if is_seed else key
+        random.check_key(root_key)
+        params = numbers_of(env, params)
+        if any(isinstance(value, Tracer) for value in (root_key, *params, *learner.settings().values())):
+            raise TypeError(
+                "a sweep compiles and maps its runs itself, so jax.jit and jax.vmap cannot trace it; map train"
+            )
+        grid = Grid(checked_axes(learner, params, axes), seeds)
+        if evaluate_every is not None and of_env(grid.axes):
+            raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
+        check_before_training(env, params, of_env(grid.axes))
+        bin_size = bin_size or default_bin_size(num_episodes)
+        if evaluate_every is not None and evaluate_every > len(bin_sizes(num_episodes, bin_size)):
+            raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")
+        batch.resolve_mapping(mapping)
+        job = Job(env, learner, params, num_episodes, bin_size, evaluate_every, keep_learned, mapping)
+        if start is None:
+            return cls(job, grid, root_key, None)
+        begin = continuation(start, env, learner, grid, num_episodes)
+        return cls(dataclasses.replace(job, first_episode=begin.episodes), grid, root_key, begin)
+
+    @property
+    def mapping(self) -> Literal["native", "vmap"]:
+        """What the job's mapping means on this machine."""
+        return batch.resolve_mapping(self.job.mapping)
+
+    @cached_property
+    @interrupts.postponed()
+    def rows(self) -> Rows:
+        """What tells the runs apart."""
+        axes, seeds = self.grid
+        words = _seed_words(self.key, jnp.arange(seeds))
+        points = np.array(list(itertools.product(*axes.values())), np.float32)
+        rows: Rows = {
+            "key": np.tile(np.asarray(words), (len(points), 1)),
+            "axes": {name: np.repeat(points[:, i], seeds) for i, name in enumerate(axes)},
+        }
+        if self.start is not None:
+            rows["start"] = self.start.rows
+        return rows
+
+    def chunks(self, cores: int | None, chunk_size: int | None, portable: bool) -> tuple[int, list[range]]:
+        """The most runs in a chunk, and the runs of each.
+
+        Portable chunks hold one combination of hyper-parameters and are the same on every machine.
+        """
+        num_runs, seeds = self.grid.num_runs, self.grid.seeds
+        if portable:
+            length = batch.portable_chunk_length(num_runs, seeds, self.mapping, chunk_size)
+            return length, batch.chunks_of(num_runs, length, within=seeds)
+        length = batch.chunk_length(num_runs, cores or batch.usable_cores(), self.mapping, chunk_size)
+        return length, batch.chunks_of(num_runs, length)
+
+    def schema(self, length: int) -> Schema:
+        """Names and places of the values, of what a run gives: it is traced here, in chunks of `length` runs.
+
+        Where the sweep is compiled in this process, for the same `length`, this takes no time of its own.
+        """
+        ends = np.cumsum(bin_sizes(self.job.num_episodes, self.job.bin_size)) + self.job.first_episode
+        coordinates, every = {EPISODE: ends}, self.job.evaluate_every
+        if every is not None:
+            coordinates[CHECKPOINT] = ends[every - 1 :: every]
+        return Schema(self.grid, coordinates, variables_of(self.job.shapes(self.rows, length)))
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Of the dataset: every setting."""
+        job = self.job
+        return {
+            **fingerprint.attributes(job.env, job.learner, job.params, self.key, self.grid.axes),
+            "num_episodes": job.num_episodes,
+            "bin_size": job.bin_size,
+            **({} if self.start is None else self.start.attributes()),
+        }
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What a store of this sweep has to agree with: the attributes, and digests of what they do not tell."""
+        job = self.job
+        return {
+            **self.attributes,
+            "evaluate_every": job.evaluate_every or 0,
+            "keep_learned": int(job.keep_learned),
+            "seeds": self.grid.seeds,
+            "axes": json.dumps(self.grid.axes),
+            **({} if self.start is None else {"digest.start": self.start.digest()}),
+            **fingerprint.digests(job.env, job.learner, job.first_episode + job.num_episodes),
+        }
