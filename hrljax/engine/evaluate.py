@@ -4,13 +4,15 @@ A flat policy is the case of one subtask that never ends.
 """
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import chex
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.core import Tracer
 
+from hrljax.core.environment import Numbers
 from hrljax.core.numerics import expectation
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.layout import StackLayout
@@ -27,7 +29,7 @@ class _Chances(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _chances(env: AnyTabularEnvironment, params: Any) -> _Chances:
+def _chances(env: AnyTabularEnvironment, params: Numbers) -> _Chances:
     model = env.model(params)
     follows = np.where(model.terminated, 0.0, model.probability)
     reward = (model.probability * model.reward).sum(-1)
@@ -84,7 +86,12 @@ class _Stacks:
 
 
 def greedy_return(
-    learner: AnyLearner, env: AnyTabularEnvironment, prepared: Any, tables: Any, params: Any, zero: Array
+    learner: AnyLearner,
+    env: AnyTabularEnvironment,
+    prepared: object,
+    tables: chex.ArrayTree,
+    params: Numbers,
+    zero: Array,
 ) -> Array:
     """Expected return (float32 scalar) of an episode if the learner were greedy from now on; see `expected_return`."""
     policy = learner.greedy_policy(env, prepared, tables, outside_of_training(zero))
@@ -92,7 +99,7 @@ def greedy_return(
 
 
 def expected_return(
-    env: AnyTabularEnvironment, policy: HierarchicalPolicy, params: Any, zero: Array, tolerance: float = 1e-4
+    env: AnyTabularEnvironment, policy: HierarchicalPolicy, params: Numbers, zero: Array, tolerance: float = 1e-4
 ) -> Array:
     """Expected undiscounted return of an episode, cut off at ``params.max_steps`` (float32 scalar).
 

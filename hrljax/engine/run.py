@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import chex
 from jax import Array
 from jax.core import Tracer
 
@@ -13,7 +14,7 @@ from hrljax.learners.base import AnyLearner
 class Run(NamedTuple):
     """Result of one run."""
 
-    learned: Any  # the learner's tables after the last episode
+    learned: chex.ArrayTree  # the learner's tables after the last episode
     metrics: dict[str, Array]  # each [bins] float32: means, in bins of episodes; see `metric_names`
     greedy_return: Array  # [checkpoints] float32: exact value of the greedy policy
     episodes: Array  # int32: episodes that were learned from, those before `start` included

@@ -8,6 +8,7 @@ from jax import Array, lax
 
 from hrljax.core import contract, random
 from hrljax.core.counting import Count
+from hrljax.core.environment import Numbers
 from hrljax.core.numerics import stage, take
 from hrljax.core.random import WordBlock
 from hrljax.engine.counters import BLOCK, Amounts, Flags, Tally
@@ -33,7 +34,7 @@ class Simulator(ABC, Generic[Counter]):
     counter: Counter
     """How the tally is started and read."""
 
-    def __init__(self, env: Env, params: Any, num_learner_words: int):
+    def __init__(self, env: Env, params: Numbers, num_learner_words: int):
         self.env, self.params = env, params
         self._num_words = env.num_words + num_learner_words
 
@@ -53,7 +54,7 @@ class Simulator(ABC, Generic[Counter]):
 class _Computed(Simulator[Amounts]):
     """Any environment."""
 
-    def __init__(self, env: Env, params: Any, num_learner_words: int):
+    def __init__(self, env: Env, params: Numbers, num_learner_words: int):
         super().__init__(env, params, num_learner_words)
         self.counter = Amounts()
 
@@ -69,7 +70,7 @@ class _Tabular(Simulator[Flags]):
 
     env: AnyTabularEnvironment
 
-    def __init__(self, env: AnyTabularEnvironment, params: Any, num_learner_words: int):
+    def __init__(self, env: AnyTabularEnvironment, params: Numbers, num_learner_words: int):
         super().__init__(env, params, num_learner_words)
         self.counter = Flags(len(env.metrics))
         self._computed = stage(self._compute)
@@ -95,7 +96,7 @@ class _Tabular(Simulator[Flags]):
 class _LookedUp(_Tabular):
     """A tabular environment whose steps are looked up."""
 
-    def __init__(self, env: AnyTabularEnvironment, params: Any, num_learner_words: int, table: OutcomeTable):
+    def __init__(self, env: AnyTabularEnvironment, params: Numbers, num_learner_words: int, table: OutcomeTable):
         super().__init__(env, params, num_learner_words)
         self._table = table
 
@@ -114,7 +115,7 @@ class _LookedUp(_Tabular):
         return self._table.look_up(take(block[0], position), state, action)
 
 
-def simulator(env: Env, params: Any, num_learner_words: int) -> Simulator[Any]:
+def simulator(env: Env, params: Numbers, num_learner_words: int) -> Simulator[Any]:
     """The simulator that suits an environment and its numbers; all give the same steps."""
     if not isinstance(env, TabularEnvironment):
         return _Computed(env, params, num_learner_words)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import chex
 import jax
 import numpy as np
 from jax.core import Tracer
 
 from hrljax.core import checks
-from hrljax.learners.base import Learner
+from hrljax.envs.base import AnyEnvironment
+from hrljax.learners.base import AnyLearner
 
 LEARNED = "learned"
 """Name of a learner's tables, and first part of the names of each."""
@@ -19,7 +21,7 @@ LEARNED = "learned"
 class Start(NamedTuple):
     """What a run goes on from."""
 
-    learned: Any  # the learner's tables
+    learned: chex.ArrayTree  # the learner's tables
     episodes: Any  # int32: episodes that they were learned from; schedules are read from there on
     step_words: Any  # [2] uint32: primitive steps of these episodes, the low and the high half of 64 bits
 
@@ -31,7 +33,7 @@ class Startable(Protocol):
     def as_start(self) -> Start: ...
 
 
-def checked_start(start: object, env: Any, learner: Learner, num_episodes: int) -> Start:
+def checked_start(start: object, env: AnyEnvironment, learner: AnyLearner, num_episodes: int) -> Start:
     """Where a run of `learner` on `env` begins, for `start` as of `hrljax.train`.
 
     Raises:
@@ -65,7 +67,7 @@ def steps_of(words: Any) -> Any:
     return low + (high << 32)
 
 
-def named_leaves(learned: Any) -> Iterable[tuple[str, Any]]:
+def named_leaves(learned: chex.ArrayTree) -> Iterable[tuple[str, Any]]:
     """The leaves of a learner's tables with names such as ``"learned.root.model"``."""
     return [
         (LEARNED + jax.tree_util.keystr(path), leaf)
@@ -74,7 +76,7 @@ def named_leaves(learned: Any) -> Iterable[tuple[str, Any]]:
     ]
 
 
-def tree_of(learned: Any, named: dict[str, np.ndarray], rows: tuple[int, ...] = ()) -> Any:
+def tree_of(learned: chex.ArrayTree, named: dict[str, np.ndarray], rows: tuple[int, ...] = ()) -> Any:
     """Tables like `learned` with the leaves of given names, the way back from `named_leaves`.
 
     Args:
@@ -95,12 +97,12 @@ def tree_of(learned: Any, named: dict[str, np.ndarray], rows: tuple[int, ...] = 
     return jax.tree_util.tree_unflatten(structure, values)
 
 
-def learned_shapes(env: Any, learner: Learner) -> Any:
+def learned_shapes(env: AnyEnvironment, learner: AnyLearner) -> chex.ArrayTree:
     """Shapes and types of a learner's tables, as a tree of `jax.ShapeDtypeStruct`."""
     prepared = learner.prepare(env)
     return jax.eval_shape(lambda: learner.init(env, prepared).tables)
 
 
-def described(tables: Any) -> str:
+def described(tables: chex.ArrayTree) -> str:
     """Names, dtypes and shapes of tables."""
     return ", ".join(f"{name}: {leaf.dtype}{list(leaf.shape)}" for name, leaf in named_leaves(tables))

@@ -1,11 +1,10 @@
 """One run: an environment, a learner and a key give what was learned and its curve."""
 
-from typing import Any
-
 from jax import Array
 from jax.core import Tracer
 
 from hrljax.core import checks, forks, random
+from hrljax.core.environment import Numbers
 from hrljax.engine.run import Run, default_bin_size
 from hrljax.engine.start import Start, Startable, checked_start
 from hrljax.engine.trainer import Trainer
@@ -21,7 +20,7 @@ def train(
     key: Array,
     num_episodes: int,
     *,
-    params: Any = None,
+    params: Numbers | None = None,
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     start: Startable | Start | None = None,
@@ -55,7 +54,7 @@ def run(
     learner: AnyLearner,
     key: Array,
     num_episodes: int,
-    params: Any = None,
+    params: Numbers | None = None,
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     start: Startable | Start | None = None,
@@ -70,11 +69,11 @@ def run(
     """
     num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
     random.check_key(key)
-    params = numbers_of(env, params)
-    check_before_training(env, params, sample=not isinstance(key, Tracer))
+    numbers = numbers_of(env, params)
+    check_before_training(env, numbers, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
     learner = with_tabulated_schedules(learner, num_episodes, 0 if begin is None else begin.episodes)
-    trainer = Trainer(env, learner, key, params, num_episodes, vmapped, begin)
+    trainer = Trainer(env, learner, key, numbers, num_episodes, vmapped, begin)
     return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
 
 

@@ -2,12 +2,14 @@
 
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core import contract, random
 from hrljax.core.counting import Count, Total, count, total
+from hrljax.core.environment import EpisodeState, Numbers
 from hrljax.core.flags import choose
 from hrljax.core.numerics import opaque_zero
 from hrljax.engine import counters
@@ -27,7 +29,7 @@ class _Loop(NamedTuple):
     """What changes from stretch to stretch."""
 
     learner: LearnerState
-    state: Any  # the environment's state; its number (int32) if it is tabular
+    state: EpisodeState | Array  # the environment's state; its number (int32) if it is tabular
     time: Array  # int32 steps taken in this episode
     episode: Array  # int32 episodes finished
     reward: Array  # float32, over a block of random words
@@ -49,13 +51,13 @@ class _Stretch(NamedTuple):
     """What changes from step to step. A native loop pays for every entry, so there are few."""
 
     learner: LearnerState
-    state: Any
+    state: EpisodeState | Array
     reward: Array
     reports: tuple[Array, ...]
-    tally: Any  # see `hrljax.engine.counters`
+    tally: counters.Tally  # see `hrljax.engine.counters`
 
 
-def _like(leaf: Array, value: Any) -> Array:
+def _like(leaf: Array, value: chex.Array) -> Array:
     """A table that a run starts from; `checked_start` has seen that it has the shape and the dtype of `leaf`."""
     return jnp.asarray(value, leaf.dtype)
 
@@ -83,7 +85,7 @@ class Trainer:
         env: AnyEnvironment,
         learner: AnyLearner,
         key: Array,
-        params: Any,
+        params: Numbers,
         num_episodes: int,
         vmapped: bool,
         start: Start | None = None,
@@ -173,7 +175,7 @@ class Trainer:
         progress = progress._replace(loop=loop)
         return lax.while_loop(lambda p: p.loop.episode < end, lambda p: self._block(p, end), progress)
 
-    def _planned(self, tables: Any, context: Context) -> Any:
+    def _planned(self, tables: chex.ArrayTree, context: Context) -> chex.ArrayTree:
         planned = self.learner.plan(self.prepared, tables, context)
         check_given_back(f"{type(self.learner).__name__}: plan", tables, planned)
         return planned
@@ -258,7 +260,9 @@ class Trainer:
         tally = counters.add(now.tally, step.change)
         return _Stretch(state, step.next_state, now.reward + step.reward, reports, tally)
 
-    def _begin(self, tables: Any, episode: Array, context: Context) -> tuple[Any, Array]:
+    def _begin(
+        self, tables: chex.ArrayTree, episode: Array, context: Context
+    ) -> tuple[chex.ArrayTree, EpisodeState | Array]:
         """The learner's control and the first state of an episode."""
         num_first = self.env.num_initial_words
         words = random.words(

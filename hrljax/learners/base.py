@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from hrljax.core.environment import Words
 from hrljax.core.numerics import exact_product, once_if
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.learners.hyperparameters import Settings
@@ -21,8 +22,6 @@ Control = TypeVar("Control")
 """Type of what a learner is doing: a pytree of a few scalars."""
 T = TypeVar("T", bound=chex.ArrayTree)
 
-Words: TypeAlias = tuple[Array, ...]
-"""Random words, uint32 scalars."""
 Discounted: TypeAlias = Callable[[Array], Array]
 """``x -> g * x`` for a discount g; see `Context.discounted`."""
 

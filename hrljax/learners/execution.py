@@ -10,6 +10,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -31,7 +32,7 @@ class StackTables(NamedTuple):
     """What a hierarchical learner has learned."""
 
     q: Array  # [tasks * S * K * numbers] float32: values by subtask, state and child's slot
-    root: Any  # what the root has learned, if it has a policy of its own; else ()
+    root: chex.ArrayTree  # what the root has learned, if it has a policy of its own; else ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,9 @@
 """A stack of running subtasks: what a step ends on it, and how it is filled again down to a primitive action."""
 
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple
+from typing import Generic, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -31,7 +32,7 @@ class StackState(NamedTuple):
     action: Array  # int32: next primitive action
     tasks: tuple[Array, ...]  # int32: subtask that runs on each level, -1 if none
     pending: tuple[Pending, ...]  # on each level but the last, whose children are primitive
-    memory: Any  # what the root remembers of its decision; () if it learns as the others do
+    memory: chex.ArrayTree  # what the root remembers of its decision; () if it learns as the others do
 
 
 class Choice(NamedTuple, Generic[Q]):

@@ -10,20 +10,24 @@ and never enters the values.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
+import chex
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks, choices
 from hrljax.core.numerics import put_row, take_row
+from hrljax.envs.base import AnyEnvironment
+from hrljax.envs.mario.competition import Episode
 from hrljax.envs.mario.engine.state import MAX_SPRITES
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
 from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
-from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.learners.relational.search_root import Plan, SearchRoot
+from hrljax.learners.roots.base import Decision
 from hrljax.learners.updates import td_target
 
 Bootstrap = Literal["on_policy", "greedy"]
@@ -44,15 +48,19 @@ class Tables(NamedTuple):
     """What a relational learner has learned."""
 
     weights: Array  # [(concepts + 1) * A] float32; the last row belongs to the action alone
-    trail: Any  # Trail, or () without traces
-    root: Any  # SearchTables, or () without a root
+    trail: Trail | None  # None without traces
+    root: chex.ArrayTree  # of the root; () without one
+
+
+Suggestion: TypeAlias = "Decision[Plan] | None"
+"""What the root suggested last; None without a root."""
 
 
 class Control(NamedTuple):
     """What the agent is about to do."""
 
     action: Array  # int32
-    decision: Any  # what the root suggested last, a `Decision`; or () without a root
+    decision: Suggestion
 
 
 class Prepared(NamedTuple):
@@ -105,25 +113,25 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
     def planning_interval(self) -> int:
         return 0 if self.root is None else self.root.planning_interval
 
-    def prepare(self, env: Any) -> Prepared:
-        checks.instance("env", env, Mario, "Mario, hrljax.make('Mario'), for RelationalHORDQ")
+    def prepare(self, env: AnyEnvironment) -> Prepared:
+        env = checks.instance("env", env, Mario, "Mario, hrljax.make('Mario'), for RelationalHORDQ")
         return Prepared(env, env.num_actions)
 
-    def init(self, env: Any, prepared: Prepared) -> LearnerState:
+    def init(self, env: Mario, prepared: Prepared) -> LearnerState:
         actions = prepared.num_actions
         weights = jnp.zeros((NUM_OBJECT_CELLS + 1) * actions, jnp.float32)
         initial = jnp.broadcast_to(jnp.asarray(self.initial_value, jnp.float32), (actions,))
         weights = put_row(weights, jnp.int32(NUM_OBJECT_CELLS * actions), initial)
-        trail: Any = ()
+        trail: Trail | None = None
         if self.trace_length:
             places = jnp.zeros(self.trace_length, jnp.int32)
             cells = jnp.zeros((self.trace_length, MAX_SPRITES), jnp.int32)
             trail = Trail(cells, places, places, jnp.int32(0))
-        root: Any = () if self.root is None else self.root.init(prepared.env)
-        return LearnerState(Tables(weights, trail, root), Control(jnp.int32(0), ()))
+        root: chex.ArrayTree = () if self.root is None else self.root.init(prepared.env)
+        return LearnerState(Tables(weights, trail, root), Control(jnp.int32(0), None))
 
-    def begin(self, prepared: Prepared, tables: Tables, first: Any, words: Words, context: Context) -> Control:
-        decision: Any = ()
+    def begin(self, prepared: Prepared, tables: Tables, first: Episode, words: Words, context: Context) -> Control:
+        decision: Suggestion = None
         if self.root is not None:
             decision = self.root.begin(prepared.env, tables.root, first, context)
         values = self._values(prepared, tables.weights, _concepts(first))
@@ -138,7 +146,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         tables: Tables = state.tables
         decision, root = state.control.decision, tables.root
         discount = jnp.asarray(at_episode(self.discount, context.episode))
-        if self.root is not None:
+        if self.root is not None and decision is not None:
             # Action(t) ends with every step.
             root, decision = self.root.step(
                 prepared.env, root, decision, transition, True, discount, transition.next_state, context
@@ -152,14 +160,14 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         old = choices.pick(self._values(prepared, tables.weights, before), transition.action)
         step_size = jnp.asarray(at_episode(self.step_size, context.episode))
         change = context.product(lax.select(jnp.asarray(context.learns), step_size, jnp.float32(0)), target - old)
-        if self.trace_length:
+        if tables.trail is not None:
             trail = _reached(tables.trail, before, transition, self.trace_length, context.learns)
             decay = context.product(discount, jnp.asarray(self.trace_decay, jnp.float32))
             weights = self._along(prepared, tables.weights, trail, change, decay, context)
             is_over = transition.terminated & context.learns
             trail = trail._replace(length=lax.select(is_over, jnp.int32(0), trail.length))
         else:
-            trail, weights = (), self._added(prepared, tables.weights, before, transition.action, change)
+            trail, weights = None, self._added(prepared, tables.weights, before, transition.action, change)
         return LearnerState(Tables(weights, trail, root), Control(action, decision))
 
     def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
@@ -209,9 +217,9 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         reach = lax.min(trail.length, jnp.int32(length))
         return lax.while_loop(lambda carry: carry[0] < reach, add, (jnp.int32(0), weights, change))[1]
 
-    def _choose(self, values: list[Array], decision: Any, word: Array, context: Context) -> Array:
+    def _choose(self, values: list[Array], decision: Suggestion, word: Array, context: Context) -> Array:
         """The greedy action, with the bonus for what the root suggests, or with probability epsilon any."""
-        if self.root is not None:
+        if decision is not None:
             bonus = jnp.asarray(at_episode(self.pseudo_reward, context.episode))
             no_bonus = jnp.float32(0)
             values = [value + lax.select(decision.task == a, bonus, no_bonus) for a, value in enumerate(values)]
@@ -219,7 +227,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         return choices.epsilon_greedy(best, len(values), word, at_episode(self.epsilon, context.episode))
 
 
-def _concepts(episode: Any) -> Concepts:
+def _concepts(episode: Episode) -> Concepts:
     """The concepts that hold now, packed to the front."""
     seen = objects(episode.world.player, episode.world.sprites, episode.world.num_sprites)
     cells, listed = object_cells(seen), seen.mask

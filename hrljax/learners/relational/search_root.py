@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+import chex
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -29,7 +30,7 @@ class Plan(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SearchRoot(Root[Mario, Any, Episode]):
+class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
     """Suggests the first action of the best sequence that a search on a model finds.
 
     Attributes:
@@ -64,10 +65,10 @@ class SearchRoot(Root[Mario, Any, Episode]):
     def planning_interval(self) -> int:
         return self.refit_interval
 
-    def init(self, prepared: Mario) -> Any:
+    def init(self, prepared: Mario) -> chex.ArrayTree:
         return self.model.init(prepared)
 
-    def begin(self, prepared: Mario, tables: Any, asked: Episode, context: Context) -> Decision:
+    def begin(self, prepared: Mario, tables: chex.ArrayTree, asked: Episode, context: Context) -> Decision[Plan]:
         none = jnp.int32(0)
         no_plan = Decision(none, Plan(jnp.zeros(self.depth, jnp.int32), none, none))
         return self._suggested(prepared, tables, no_plan, asked, jnp.bool_(True), context)
@@ -75,25 +76,25 @@ class SearchRoot(Root[Mario, Any, Episode]):
     def step(
         self,
         prepared: Mario,
-        tables: Any,
-        decision: Decision,
+        tables: chex.ArrayTree,
+        decision: Decision[Plan],
         transition: Transition,
         ended: Flag,
         discount: Array,
         asked: Episode,
         context: Context,
-    ) -> tuple[Any, Decision]:
+    ) -> tuple[chex.ArrayTree, Decision[Plan]]:
         observed = self.model.observe(prepared, tables, transition, context.learns)
         # Decides with the trees, which a step does not change.
         decides = both(ended, ~transition.terminated & context.learns)
         return observed, self._suggested(prepared, tables, decision, asked, jnp.asarray(decides), context)
 
-    def plan(self, prepared: Mario, tables: Any, context: Context) -> Any:
+    def plan(self, prepared: Mario, tables: chex.ArrayTree, context: Context) -> chex.ArrayTree:
         """Fits the model to what it was told."""
         refitted = self.model.refit(prepared, tables)
         return lax.cond(context.learns, lambda: refitted, lambda: tables) if context.vmapped else refitted
 
-    def search(self, env: Mario, tables: Any, episode: Episode, loop: Loop = "while") -> SearchResult:
+    def search(self, env: Mario, tables: chex.ArrayTree, episode: Episode, loop: Loop = "while") -> SearchResult:
         """The search from a moment of an episode, with its tree."""
         model, start = self.model.planned(env, tables, episode)
         return best_first_search(
@@ -110,12 +111,18 @@ class SearchRoot(Root[Mario, Any, Episode]):
         )
 
     def _suggested(
-        self, env: Mario, tables: Any, decision: Decision, episode: Episode, decides: Array, context: Context
-    ) -> Decision:
+        self,
+        env: Mario,
+        tables: chex.ArrayTree,
+        decision: Decision[Plan],
+        episode: Episode,
+        decides: Array,
+        context: Context,
+    ) -> Decision[Plan]:
         """The suggestion for a moment of an episode; `decision` as it is where the root does not decide."""
-        plan: Plan = decision.memory
+        plan = decision.memory
 
-        def searched() -> Decision:
+        def searched() -> Decision[Plan]:
             # Runs that take their steps together wait for the longest search, so it may as well have a fixed length.
             result = self.search(env, tables, episode, "scan" if context.vmapped else "while")
             return Decision(result.action, Plan(result.actions, jnp.int32(1), result.length))

@@ -14,20 +14,21 @@ from hrljax.learners.hyperparameters import Settings
 
 Prepared = TypeVar("Prepared")
 Tables = TypeVar("Tables")
+Memory = TypeVar("Memory")
 Asked = TypeVar("Asked")
 """Type of what a root goes by when it decides."""
 ChildValue: TypeAlias = Callable[[Array, Array], Array]
 """Value of a subtask (int32, counted without the root) from a state (int32) until it ends."""
 
 
-class Decision(NamedTuple):
+class Decision(NamedTuple, Generic[Memory]):
     """A choice of the root, and what it remembers of it until the next one."""
 
     task: Array  # int32: the subtask, counted without the root
-    memory: Any  # a few scalars; () if it remembers nothing
+    memory: Memory  # a few scalars; () if it remembers nothing
 
 
-class Root(Settings, ABC, Generic[Prepared, Tables, Asked]):
+class Root(Settings, ABC, Generic[Prepared, Tables, Memory, Asked]):
     """How a root chooses what its subtasks do; scalar and pure, as `hrljax.learners.base.Learner`."""
 
     name: ClassVar[str]
@@ -42,7 +43,7 @@ class Root(Settings, ABC, Generic[Prepared, Tables, Asked]):
         """What the root has learned before the first episode."""
 
     @abstractmethod
-    def begin(self, prepared: Prepared, tables: Tables, asked: Asked, context: Context) -> Decision:
+    def begin(self, prepared: Prepared, tables: Tables, asked: Asked, context: Context) -> Decision[Memory]:
         """The first choice of an episode."""
 
     @abstractmethod
@@ -50,13 +51,13 @@ class Root(Settings, ABC, Generic[Prepared, Tables, Asked]):
         self,
         prepared: Prepared,
         tables: Tables,
-        decision: Decision,
+        decision: Decision[Memory],
         transition: Transition,
         ended: Flag,
         discount: Array,
         asked: Asked,
         context: Context,
-    ) -> tuple[Tables, Decision]:
+    ) -> tuple[Tables, Decision[Memory]]:
         """Sees every primitive step, and decides anew where the subtask has ended and the episode goes on.
 
         Args:
@@ -87,7 +88,7 @@ class Question(NamedTuple):
     child_value: ChildValue
 
 
-class SubtaskRoot(Root[Prepared, Tables, Question]):
+class SubtaskRoot(Root[Prepared, Tables, Memory, Question]):
     """Chooses among the subtasks of a hierarchy that can be invoked."""
 
     uses_child_values: ClassVar[bool] = False
@@ -104,4 +105,4 @@ class SubtaskRoot(Root[Prepared, Tables, Question]):
         """How likely each subtask is to be invoked without exploration, ``[tasks]`` float32."""
 
 
-AnySubtaskRoot: TypeAlias = SubtaskRoot[Any, Any]
+AnySubtaskRoot: TypeAlias = SubtaskRoot[Any, Any, Any]

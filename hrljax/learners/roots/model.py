@@ -41,7 +41,7 @@ Values: TypeAlias = tuple[Array, ...]
 
 
 @dataclass(frozen=True)
-class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables]):
+class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables, Memory]):
     """Plans on a learned multi-time model of its subtasks, holding part of the state fixed (thesis 4.1.1).
 
     At every decision the values of the subtasks are backed up from the model and the best is
@@ -81,7 +81,9 @@ class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables]):
         values = jnp.full(points.num_points, self._unknown())
         return ModelTables(jnp.zeros(entries, jnp.float32), values, jnp.zeros(points.can_invoke.size, jnp.float32))
 
-    def begin(self, prepared: DecisionPoints, tables: ModelTables, asked: Question, context: Context) -> Decision:
+    def begin(
+        self, prepared: DecisionPoints, tables: ModelTables, asked: Question, context: Context
+    ) -> Decision[Memory]:
         decision, _ = self._decided(prepared, tables, asked, context)
         return decision
 
@@ -89,14 +91,14 @@ class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables]):
         self,
         prepared: DecisionPoints,
         tables: ModelTables,
-        decision: Decision,
+        decision: Decision[Memory],
         transition: Transition,
         ended: Flag,
         discount: Array,
         asked: Question,
         context: Context,
-    ) -> tuple[ModelTables, Decision]:
-        before: Memory = decision.memory
+    ) -> tuple[ModelTables, Decision[Memory]]:
+        before = decision.memory
         before = before._replace(discount=before.discount * discount)
         decision, ended = decision._replace(memory=before), jnp.asarray(ended)
         tables = context.when(
@@ -135,7 +137,7 @@ class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables]):
 
     def _decided(
         self, points: DecisionPoints, tables: ModelTables, asked: Question, context: Context
-    ) -> tuple[Decision, Values]:
+    ) -> tuple[Decision[Memory], Values]:
         """The best subtask by the model, or any, and the values that were computed on the way (eq. 4.1)."""
         point = take(jnp.asarray(points.point), asked.state)
         tasks, worth, allowed, until_ends = [], [], [], []

@@ -16,7 +16,7 @@ from hrljax.learners.roots.base import ChildValue, Decision, Question, SubtaskRo
 
 
 @dataclass(frozen=True)
-class RandomRoot(SubtaskRoot[TaskTables, tuple[()]]):
+class RandomRoot(SubtaskRoot[TaskTables, tuple[()], tuple[()]]):
     """Chooses uniformly among the subtasks that can be invoked, and learns nothing (thesis Fig. 4.2(b))."""
 
     name = "random"
@@ -27,7 +27,7 @@ class RandomRoot(SubtaskRoot[TaskTables, tuple[()]]):
     def init(self, prepared: TaskTables) -> tuple[()]:
         return ()
 
-    def begin(self, prepared: TaskTables, tables: tuple[()], asked: Question, context: Context) -> Decision:
+    def begin(self, prepared: TaskTables, tables: tuple[()], asked: Question, context: Context) -> Decision[tuple[()]]:
         count = take(jnp.asarray(prepared.root_counts), asked.state)
         slot = (asked.word % count.astype(jnp.uint32)).astype(jnp.int32)
         width = prepared.root_children.shape[1]
@@ -37,13 +37,13 @@ class RandomRoot(SubtaskRoot[TaskTables, tuple[()]]):
         self,
         prepared: TaskTables,
         tables: tuple[()],
-        decision: Decision,
+        decision: Decision[tuple[()]],
         transition: Transition,
         ended: Flag,
         discount: Array,
         asked: Question,
         context: Context,
-    ) -> tuple[tuple[()], Decision]:
+    ) -> tuple[tuple[()], Decision[tuple[()]]]:
         decides = jnp.asarray(ended) & ~transition.terminated & context.learns
         return tables, lax.cond(decides, lambda: self.begin(prepared, tables, asked, context), lambda: decision)
 
