@@ -1,23 +1,26 @@
 """Hierarchies of any depth in plain Python: a list as the stack, one row of a table for each child.
 
 Written from the definitions (thesis 3.1-3.2; Dietterich 2000, Tables 2 and 4; Parr and Russell
-1997), without the library's tables, levels and slots. `tests.learners.test_levels_against_python`
-compares.
+1997), without the library's tables, levels and slots. `tests.learners.test_against_python` and
+`tests.learners.test_levels_against_python` compare.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import hrljax
 from hrljax.core.random import WORD_RANGE
+from hrljax.experiments.backup import PseudoRewardInBackup
 from tests.words import drawn
 
 F = np.float32
+EPISODES = 60
+"""Most episodes that schedules are read for."""
 
 
 @dataclass
@@ -53,12 +56,18 @@ class PythonEnv:
         initial = jax.vmap(lambda w: self.env.encode(self.env.initial(tuple(w), self.params)))
         return np.asarray(initial(drawn_words)).tolist()
 
-    def step(self, state: int, action: int, words: list[int]) -> tuple[int, F, bool]:
+    def step(self, state: int, action: int, words: list[int]) -> tuple[int, F, bool, tuple[bool, ...]]:
+        """Next state, reward, whether the episode terminated, and no events."""
         kinds = [sum(word >= cut for cut in cuts) for word, cuts in zip(words, self.cuts, strict=True)]
         after, reward, terminated = (
             column[state, action, int(np.ravel_multi_index(kinds, self.shape))] for column in self.outcomes
         )
-        return int(after), F(reward), bool(terminated)
+        return int(after), F(reward), bool(terminated), ()
+
+
+def at(value: Any, episode: int) -> F:
+    """A hyper-parameter in an episode; a schedule is evaluated over many, as the library does."""
+    return F(jax.vmap(value)(jnp.arange(EPISODES))[episode] if callable(value) else value)
 
 
 @dataclass
@@ -71,14 +80,28 @@ class Frame:
     discount: F = F(1)  # of the child's steps so far
 
 
-class Decomposed:
-    """HORDQ and MAXQ; a row is Q_r, Q_c, Q_e, Q_p. Q_r of a subtask is found by recursion."""
+class RandomChoice:
+    """A root that chooses at random among the subtasks that can be invoked, and learns nothing."""
 
-    def __init__(self, learner: Any, graph: Graph):
-        self.learner, self.graph = learner, graph
+    def choose(self, state: int, invocable: list[str], word: int, is_first: bool) -> str:
+        return invocable[word % len(invocable)]
+
+    def observe(self, state: int, task: str, after: int, weight: F, terminated: bool) -> None: ...
+
+    def plan(self, episode: int) -> None: ...
+
+
+class Decomposed:
+    """HORDQ and MAXQ; a row is Q_r, Q_c, Q_e, Q_p. Q_r of a subtask is found by recursion.
+
+    `root` chooses for a root that does not learn.
+    """
+
+    def __init__(self, learner: Any, graph: Graph, root: Any = None):
+        self.learner, self.graph, self.root_policy = learner, graph, root or RandomChoice()
         self.root = next(iter(graph.children))
         self.root_learns = learner.root is None
-        self.has_exit = learner.name == "HORDQ"
+        self.has_exit = isinstance(learner, hrljax.HORDQ)
         num_states = len(graph.active[self.root])
         self.table = {
             (task, state, child): self.initial(task)
@@ -119,15 +142,15 @@ class Decomposed:
     # Execution.
 
     def choose(self, task: str, state: int, word: int) -> Any:
-        if word < math.ceil(float(F(self.learner.epsilon)) * WORD_RANGE):
+        if word < math.ceil(float(self.epsilon) * WORD_RANGE):
             allowed = self.allowed(task, state)
             return allowed[word % len(allowed)]
         return self.best(task, state)
 
-    def root_choice(self, state: int, word: int) -> str:
+    def root_choice(self, state: int, word: int, is_first: bool = False) -> str:
         """Of a root that does not learn."""
-        allowed = self.allowed(self.root, state)
-        return allowed[word % len(allowed)]
+        self.decided_at, self.root_discount = state, F(1)
+        return self.root_policy.choose(state, self.allowed(self.root, state), word, is_first)
 
     def descend(self, stack: list[Frame], state: int, words: list[int]) -> None:
         """The subtask on top chooses, and what it chooses, down to an action; one word for each level."""
@@ -139,9 +162,13 @@ class Decomposed:
                 return
             stack.append(Frame(top.child))
 
-    def begin(self, state: int, words: list[int]) -> None:
-        self.stack = [Frame(self.root if self.root_learns else self.root_choice(state, words[0]))]
+    def begin(self, episode: int, state: int, words: list[int]) -> None:
+        for name in ("epsilon", "step_size", "pseudo_reward"):
+            setattr(self, name, at(getattr(self.learner, name, 0.0), episode))
+        first = self.root if self.root_learns else self.root_choice(state, words[0], is_first=True)
+        self.stack = [Frame(first)]
         self.descend(self.stack, state, words)
+        self.root_policy.plan(episode)
 
     def learn(self, state: int, reward: F, after: int, terminated: bool, words: list[int]) -> None:
         self.steps_by_depth[len(self.stack)] = self.steps_by_depth.get(len(self.stack), 0) + 1
@@ -157,6 +184,11 @@ class Decomposed:
             len(ran),
         )
         survivors = [Frame(**vars(frame)) for frame in ran[:stays]]
+        if not self.root_learns:
+            self.root_discount = self.root_discount * F(self.learner.discount)
+            if not survivors or terminated:
+                weight = F(0) if terminated else self.root_discount
+                self.root_policy.observe(self.decided_at, ran[0].task, after, weight, terminated)
         if not survivors and not terminated:
             survivors = [Frame(self.root_choice(after, words[0]))]
         follows = np.zeros(4, F)
@@ -191,11 +223,13 @@ class Decomposed:
             target[0] = reward
         if exited:
             target[2] = frame.discount * (next_r + next_c + next_e)
-            target[3] = F(self.learner.pseudo_reward) * F(self.graph.goal[frame.task][after])
+            target[3] = self.pseudo_reward * F(self.graph.goal[frame.task][after])
         else:
             target[1:] = frame.discount * np.array([next_r + next_c, next_e, next_p])
+        if isinstance(self.learner, PseudoRewardInBackup):
+            target[1], target[3] = target[3] if exited else target[1], 0
         old = self.table[frame.task, frame.state, frame.child]
-        return old + F(self.learner.step_size) * (target - old)
+        return old + self.step_size * (target - old)
 
     # What greedy behaviour earns.
 
@@ -247,13 +281,13 @@ class Decomposed:
         """Every number, also of what was never visited."""
         learners = [task for task in self.graph.children if self.root_learns or task != self.root]
         width = max(len(self.graph.children[task]) for task in learners)
-        found = np.asarray(learned.q).reshape(len(learners), -1, width, len(self.initial(self.root)))
+        tables = np.asarray(learned.q).reshape(len(learners), -1, width, len(self.initial(self.root)))
         for number, task in enumerate(learners):
             for slot, child in enumerate(self.graph.children[task]):
-                rows = np.stack([self.table[task, state, child] for state in range(found.shape[1])])
+                rows = np.stack([self.table[task, state, child] for state in range(tables.shape[1])])
                 used = self.used_parts()
                 np.testing.assert_array_equal(
-                    found[number, :, slot][:, used], rows[:, used], err_msg=f"{task}, {child}"
+                    tables[number, :, slot][:, used], rows[:, used], err_msg=f"{task}, {child}"
                 )
 
     def used_parts(self) -> list[int]:
@@ -281,28 +315,45 @@ class Machines(Decomposed):
             return None
         old = self.table[frame.task, frame.state, frame.child]
         target = reward + F(self.learner.discount) * follows[:1]
-        return old + F(self.learner.step_size) * (target - old)
+        return old + self.step_size * (target - old)
 
     def used_parts(self) -> list[int]:
         return [0]
 
 
-def train_in_python(
-    make: Callable[[Any, Any], Any], learner: Any, graph: Any, env: PythonEnv, episodes: int
-) -> tuple[Any, int, int]:
-    """A program after so many episodes, its steps, and how many episodes were truncated."""
-    program, own = make(learner, graph), env.env.num_words
-    begin_words = drawn(episodes, env.env.num_initial_words + learner.num_begin_words, 2)
-    step_words = drawn(episodes * env.params.max_steps, own + learner.num_words, 0)
-    firsts = env.first_states([words[: env.env.num_initial_words] for words in begin_words])
-    steps = truncated = 0
-    for episode, state in enumerate(firsts):
-        program.begin(state, begin_words[episode][env.env.num_initial_words :])
-        time, terminated = 0, False
+class Walk(NamedTuple):
+    """What a program went through."""
+
+    program: Any
+    steps: int
+    episodes: np.ndarray  # [episodes, 3 + events]: return, length, how often each event happened, truncated
+
+    @property
+    def truncated(self) -> int:
+        return int(self.episodes[:, -1].sum())
+
+
+def train_in_python(program: Any, env: Any, episodes: int) -> Walk:
+    """A program after so many episodes.
+
+    Args:
+        program: a learner in plain Python: ``begin(episode, state, words)``, ``learn(...)`` and ``action``; its
+            ``learner`` is the library's.
+        env: a `PythonEnv`, or another with ``env``, ``params``, ``first_states`` and ``step``.
+        episodes: how many.
+    """
+    learner, of_env, of_first = program.learner, env.env.num_words, env.env.num_initial_words
+    begin_words = drawn(episodes, of_first + learner.num_begin_words, 2)
+    step_words = drawn(episodes * env.params.max_steps, of_env + learner.num_words, 0)
+    steps, rows = 0, []
+    for episode, state in enumerate(env.first_states([words[:of_first] for words in begin_words])):
+        program.begin(episode, state, begin_words[episode][of_first:])
+        time, total, happened, terminated = 0, 0.0, np.zeros(len(env.env.metrics)), False
         while not terminated and time < env.params.max_steps:
             words = step_words[steps]
-            after, reward, terminated = env.step(state, program.action, words[:own])
-            program.learn(state, reward, after, terminated, words[own:])
-            state, time, steps = after, time + 1, steps + 1
-        truncated += not terminated
-    return program, steps, truncated
+            after, reward, terminated, events = env.step(state, program.action, words[:of_env])
+            program.learn(state, reward, after, terminated, words[of_env:])
+            state, time, steps, total = after, time + 1, steps + 1, total + float(reward)
+            happened[: len(events)] += events
+        rows.append([total, time, *happened, not terminated])
+    return Walk(program, steps, np.array(rows))

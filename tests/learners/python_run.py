@@ -9,13 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import hrljax
-from hrljax.core import random
 from hrljax.envs.bus.env import BusParams
 from hrljax.learners.base import Context, Transition
 from tests.maps import SMALL
+from tests.words import KEY, drawn
 
 F = np.float32
-KEY = jax.random.key(11)
 EPISODES = 40
 PARAMS = BusParams(max_steps=60)
 PAIRS = SMALL.num_states * 4
@@ -34,14 +33,6 @@ class Program(Protocol):
 def choose(q: np.ndarray, state: int, word: int, epsilon: float) -> int:
     """Epsilon-greedily; `epsilon` is a multiple of 1/8."""
     return word % 4 if word < epsilon * 2**24 else int(np.argmax(q[state * 4 : state * 4 + 4]))
-
-
-@cache
-def drawn(count: int, num_words: int, stream: int) -> list[list[int]]:
-    """Random words of successive positions of a stream."""
-    key = random.key_words(KEY)
-    at_position = jax.vmap(lambda i: jnp.stack(random.words(key, i, num_words, stream)))
-    return np.asarray(jax.jit(at_position)(jnp.arange(count, dtype=jnp.uint32))).tolist()
 
 
 @jax.jit

@@ -1,10 +1,9 @@
 """Learners against the same algorithms in plain Python, scalar by scalar: equal numbers, not close ones."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
@@ -13,7 +12,8 @@ import hrljax
 from hrljax.engine.run import bin_sizes, metric_names
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.experiments.backup import PseudoRewardInBackup
-from tests.words import KEY, drawn
+from tests.learners.python_levels import Decomposed, Graph, train_in_python
+from tests.words import KEY
 
 F = np.float32
 EPISODES, BIN_SIZE = 60, 7
@@ -24,19 +24,21 @@ FLAGS = 6  # bits of a state number below the cell: damaged, three passengers, t
 class PythonBus:
     """The Bus domain with the default options."""
 
+    params = PARAMS
+
     def __init__(self, bus: Bus):
-        layout = bus.layout
+        self.env, layout = bus, bus.layout
         self.neighbour, self.site, self.area = layout.neighbour.tolist(), layout.site.tolist(), layout.area.tolist()
         self.passengers, self.start = layout.passengers, layout.start
         self.areas = range(len(layout.area_names))
         edges = {(self.area[c], self.area[n]) for c, row in enumerate(self.neighbour) for n in row}
         self.adjacent = {(a, b) for a, b in edges if a != b}
 
-    def initial(self, word: int) -> int:
-        return self.start << FLAGS | word * 3 >> 24
+    def first_states(self, words: list[list[int]]) -> list[int]:
+        return [self.start << FLAGS | word * 3 >> 24 for (word,) in words]
 
-    def step(self, state: int, action: int, words: list[int]) -> tuple[int, float, bool, bool, bool]:
-        """Next state, reward, terminated, damaged now, broken down now."""
+    def step(self, state: int, action: int, words: list[int]) -> tuple[int, F, bool, tuple[bool, bool]]:
+        """Next state, reward, whether the episode terminated; whether the bus was damaged, whether it broke down."""
         cell, damaged, picked, road = state >> FLAGS, state >> 5 & 1, state >> 2 & 7, state & 3
         slip, mishap, change = (word / 2**24 for word in words)
         move = (action + sum(slip < 0.025 * i for i in (1, 2, 3))) % 4
@@ -47,18 +49,17 @@ class PythonBus:
             picked |= sum(1 << i for i, where in enumerate(self.passengers) if where == cell)
         road = (road + (change < 0.05) + (change < 0.025)) % 3
         after = cell << FLAGS | (damaged or hit) << 5 | picked << 2 | road
-        return after, -51.0 if broke else -1.0, broke or (picked == 7 and cell == self.start), hit, broke
+        return after, F(-51 if broke else -1), broke or (picked == 7 and cell == self.start), (hit, broke)
 
-    def active(self, task: int, state: int) -> bool:
-        return (self.area[state >> FLAGS], task) in self.adjacent
-
-    def goal(self, task: int, state: int) -> float:
-        return float(self.area[state >> FLAGS] == task)
-
-
-def at(value: Any, episode: int) -> F:
-    """A hyper-parameter in an episode."""
-    return F(jax.vmap(value)(jnp.arange(EPISODES))[episode] if callable(value) else value)
+    def tasks(self) -> Graph:
+        """The root over the areas, each of which is entered from a neighbouring one."""
+        area = np.repeat(self.area, 1 << FLAGS)
+        names = list(self.env.layout.area_names)
+        active = {name: np.array([(a, task) in self.adjacent for a in area]) for task, name in enumerate(names)}
+        goal = {name: area == task for task, name in enumerate(names)}
+        everywhere = np.ones(len(area), np.bool_)
+        children = {"Root": names, **{name: list(range(4)) for name in names}}
+        return Graph(children, {"Root": everywhere, **active}, {"Root": ~everywhere, **goal})
 
 
 def explores(word: int, epsilon: F) -> bool:
@@ -68,7 +69,7 @@ def explores(word: int, epsilon: F) -> bool:
 class Flat:
     """Q-learning and SARSA(0)."""
 
-    def __init__(self, learner: Any, bus: PythonBus):
+    def __init__(self, learner: Any):
         self.learner, self.on_policy = learner, isinstance(learner, hrljax.SARSA)
         self.q = np.full((2304, 4), learner.initial_value, F)
         self.epsilon, self.step_size = F(learner.epsilon), F(learner.step_size)
@@ -87,84 +88,22 @@ class Flat:
         self.q[state, action] += self.step_size * (target - self.q[state, action])
         self.action = follows if self.on_policy else self.choose(after, words[0])
 
-    def compare(self, learned: Any, bus: Bus) -> None:
+    def compare(self, learned: Any) -> None:
         np.testing.assert_array_equal(np.asarray(learned).reshape(2304, 4), self.q)
-
-
-class Hierarchical:
-    """HORDQ and MAXQ-Q under a root."""
-
-    def __init__(self, learner: Any, bus: PythonBus):
-        self.learner, self.bus, self.is_hordq = learner, bus, isinstance(learner, hrljax.HORDQ)
-        self.parts = np.zeros((6, 2304, 4, 4), F)  # Q_r, Q_c, Q_e, Q_p
-        self.parts[..., 2 if self.is_hordq else 1] = learner.initial_value
-        self.root = PlannedRoot(self) if isinstance(learner.root, hrljax.ModelRoot) else None
-
-    def worth(self, task: int, state: int) -> np.ndarray:
-        reward, completion, after_exit, pseudo = self.parts[task, state].T
-        real = reward + completion + after_exit if self.is_hordq else reward + completion
-        return real + pseudo
-
-    def act(self, state: int, word: int) -> int:
-        return word % 4 if explores(word, self.epsilon) else int(np.argmax(self.worth(self.task, state)))
-
-    def decide(self, state: int, word: int, first: bool) -> None:
-        invocable = [task for task in self.bus.areas if self.bus.active(task, state)]
-        if self.root:
-            self.task = self.root.choose(state, invocable, word, first)
-        else:
-            self.task = invocable[word % len(invocable)]
-        self.decided_at, self.so_far = state, F(1)
-
-    def begin(self, episode: int, state: int, words: list[int]) -> None:
-        for name in ("epsilon", "pseudo_reward", "step_size"):
-            setattr(self, name, at(getattr(self.learner, name), episode))
-        self.decide(state, words[0], first=True)
-        self.action = self.act(state, words[1])
-        if self.root and episode % self.learner.root.interval == 0:
-            self.root.plan()
-
-    def learn(self, state: int, reward: float, after: int, terminated: bool, words: list[int]) -> None:
-        task, action, discount = self.task, self.action, F(self.learner.discount)
-        ended, on_policy = not self.bus.active(task, after), self.learner.bootstrap == "on_policy"
-        self.so_far *= discount
-        if self.root and (ended or terminated):
-            self.root.observe(self.decided_at, task, after, F(0) if terminated else self.so_far, terminated)
-        if ended and not terminated:
-            self.decide(after, words[0], first=False)
-        taken = self.act(after, words[1])
-        child = taken if on_policy else int(np.argmax(self.worth(self.task, after)))
-        next_r, next_c, next_e, next_p = np.zeros(4, F) if terminated else self.parts[self.task, after, child]
-        pseudo = self.pseudo_reward * F(self.bus.goal(task, after))
-        if ended:
-            target = [F(reward), F(0), discount * (next_r + next_c + next_e), pseudo]
-        else:
-            target = [F(reward), discount * (next_r + next_c), discount * next_e, discount * next_p]
-        if isinstance(self.learner, PseudoRewardInBackup):
-            target[1:] = [pseudo if ended else target[1], target[2], F(0)]
-        old = self.parts[task, state, action]
-        self.parts[task, state, action] = old + self.step_size * (np.array(target) - old)
-        self.action = taken if on_policy else self.act(after, words[1])
-
-    def compare(self, learned: Any, bus: Bus) -> None:
-        used = [0, 1, 2, 3] if self.is_hordq else [0, 1, 3]  # MAXQ-Q reads no Q_e
-        parts = np.asarray(learned.q).reshape(self.parts.shape)
-        np.testing.assert_array_equal(parts[..., used], self.parts[..., used])
-        if self.root:
-            self.root.compare(learned.root, bus)
 
 
 class PlannedRoot:
     """The model-based root, in dictionaries over (planning part, environment part)."""
 
-    def __init__(self, learner: Hierarchical):
-        self.learner, self.settings = learner, learner.learner.root
+    def __init__(self, learner: Any, bus: PythonBus):
+        self.bus, self.settings, self.epsilon = bus, learner.root, F(learner.epsilon)
+        self.program: Any = None  # whose subtasks it plans
         self.unknown = F(self.settings.unknown_value)
         self.probability: dict[tuple, dict[int, F]] = {}  # outcomes by (x, y, task)
         self.count: dict[tuple, int] = {}
         self.value: dict[tuple, F] = {}
         self.until_end: dict[tuple, F] = {}
-        self.tasks: dict[tuple, list[int]] = {}
+        self.tasks: dict[tuple, list[str]] = {}
         self.recorded: set[tuple] = set()  # points decided at within an episode; values of others feed nothing
 
     @staticmethod
@@ -175,7 +114,7 @@ class PlannedRoot:
     def joined(x: int, y: int) -> int:
         return x >> 3 << FLAGS | (y & 4) << 3 | (x & 7) << 2 | y & 3
 
-    def backup(self, point: tuple[int, int], task: int, until_end: F) -> F:
+    def backup(self, point: tuple[int, int], task: str, until_end: F) -> F:
         if not self.count.get((*point, task)):
             return self.unknown
         after = F(0)
@@ -183,20 +122,18 @@ class PlannedRoot:
             after = after + probability * self.value.get((x, point[1]), self.unknown)
         return until_end + after
 
-    def choose(self, state: int, invocable: list[int], word: int, first: bool) -> int:
-        point, until_end = self.split(state), {}
-        for task in invocable:
-            row = self.learner.parts[task, state, np.argmax(self.learner.worth(task, state))]
-            until_end[task] = row[0] + row[1]
+    def choose(self, state: int, invocable: list[str], word: int, is_first: bool) -> str:
+        point = self.split(state)
+        until_end = {task: self.program.until_end(task, state) for task in invocable}
         worth = [self.backup(point, task, until_end[task]) for task in invocable]
         self.tasks[point] = invocable
-        if not first:
+        if not is_first:
             self.recorded.add(point)
             self.value[point] = max(worth)
             self.until_end |= {(*point, task): value for task, value in until_end.items()}
-        return invocable[word % len(invocable) if explores(word, self.learner.epsilon) else int(np.argmax(worth))]
+        return invocable[word % len(invocable) if explores(word, self.epsilon) else int(np.argmax(worth))]
 
-    def observe(self, state: int, task: int, after: int, weight: F, terminated: bool) -> None:
+    def observe(self, state: int, task: str, after: int, weight: F, terminated: bool) -> None:
         trial = (*self.split(state), task)
         size = max(F(self.settings.step_size), F(1) / F(self.count.get(trial, 0) + 1))
         self.count[trial] = self.count.get(trial, 0) + 1
@@ -205,14 +142,15 @@ class PlannedRoot:
             old = known.get(x, F(0))
             known[x] = old + size * ((weight if x == reached else F(0)) - old)
 
-    def plan(self) -> None:
-        for _ in range(self.settings.sweeps):
+    def plan(self, episode: int) -> None:
+        for _ in range(self.settings.sweeps if episode % self.settings.interval == 0 else 0):
             self.value |= {
                 point: max(self.backup(point, task, self.until_end.get((*point, task), F(0))) for task in tasks)
                 for point, tasks in self.tasks.items()
             }
 
-    def compare(self, learned: Any, bus: Bus) -> None:
+    def compare(self, learned: Any) -> None:
+        bus, names = self.bus.env, self.bus.env.layout.area_names
         points = self.settings.prepare(bus.hierarchy(), bus)
         shape = (points.num_x, points.num_slots, points.num_outcomes + 1, points.num_y)
         model = np.asarray(learned.model).reshape(shape)
@@ -223,7 +161,7 @@ class PlannedRoot:
             number = points.point[self.joined(*point)]
             x, y = divmod(int(number), points.num_y)
             slots = np.flatnonzero(points.can_invoke[x, :, y])
-            assert tasks[x, slots].tolist() == self.tasks[point]
+            assert [names[task] for task in tasks[x, slots]] == self.tasks[point]
             for slot, task in zip(slots, self.tasks[point], strict=True):
                 seen = self.probability.get((*point, task), {})
                 expected = {points.planning[self.joined(after, 0)]: p for after, p in seen.items()}
@@ -234,28 +172,6 @@ class PlannedRoot:
                     assert until_end[x, slot, y] == self.until_end[*point, task]
             if point in self.recorded:
                 assert learned.values[number] == self.value[point]
-
-
-class Curve(NamedTuple):
-    sums: np.ndarray  # [bins, 5], the columns of `metric_names`
-    steps: int
-
-
-def train_in_python(learner: Any, bus: PythonBus, step_words: list[list[int]], begin_words: list[list[int]]) -> Curve:
-    rows, steps = [], 0
-    for episode in range(EPISODES):
-        words = begin_words[episode]
-        state, time, counts, terminated = bus.initial(words[0]), 0, np.zeros(3), False
-        learner.begin(episode, state, words[1:])
-        while not terminated and time < PARAMS.max_steps:
-            words = step_words[steps]
-            after, reward, terminated, hit, broke = bus.step(state, learner.action, words[:3])
-            learner.learn(state, reward, after, terminated, words[3:])
-            state, time, steps = after, time + 1, steps + 1
-            counts += reward, hit, broke
-        rows.append([counts[0], time, *counts[1:], not terminated])
-    starts = np.cumsum([0, *bin_sizes(EPISODES, BIN_SIZE)])[:-1]
-    return Curve(np.add.reduceat(np.array(rows), starts), steps)
 
 
 HIERARCHY = Bus().hierarchy()
@@ -278,19 +194,32 @@ LEARNERS = {
 }
 
 
+def in_python(learner: Any, bus: PythonBus) -> Any:
+    """The same learner as a plain program."""
+    if isinstance(learner, hrljax.QLearning | hrljax.SARSA):
+        return Flat(learner)
+    root = PlannedRoot(learner, bus) if isinstance(learner.root, hrljax.ModelRoot) else None
+    program = Decomposed(learner, bus.tasks(), root)
+    if root is not None:
+        root.program = program
+    return program
+
+
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_run_gives_the_numbers_of_plain_python(name: str, bus: Bus):
     learner = LEARNERS[name]
     run = jax.jit(lambda key: hrljax.train(bus, learner, key, EPISODES, params=PARAMS, bin_size=BIN_SIZE))(KEY)
     python_bus = PythonBus(bus)
-    python = Flat(learner, python_bus) if name in ("Q-learning", "SARSA") else Hierarchical(learner, python_bus)
-    step_words = drawn(EPISODES * PARAMS.max_steps, 3 + learner.num_words, 0)
-    curve = train_in_python(python, python_bus, step_words, drawn(EPISODES, 1 + learner.num_begin_words, 2))
-    assert int(run.steps) == curve.steps
+    program = in_python(learner, python_bus)
+    walk = train_in_python(program, python_bus, EPISODES)
+    assert int(run.steps) == walk.steps
     sizes = np.array(bin_sizes(EPISODES, BIN_SIZE))
+    sums = np.add.reduceat(walk.episodes, np.cumsum([0, *sizes])[:-1])
     for column, metric in enumerate(metric_names(bus, learner)):
         mean = np.asarray(run.metrics[metric], np.float64)
-        np.testing.assert_array_equal(np.rint(mean * sizes), curve.sums[:, column], err_msg=metric)
-        np.testing.assert_allclose(mean, curve.sums[:, column] / sizes, rtol=2e-7, err_msg=metric)
-    assert curve.sums[:, 2:].any(0).all()  # damage, breakdowns and truncated episodes all happened
-    python.compare(run.learned, bus)
+        np.testing.assert_array_equal(np.rint(mean * sizes), sums[:, column], err_msg=metric)
+        np.testing.assert_allclose(mean, sums[:, column] / sizes, rtol=2e-7, err_msg=metric)
+    assert sums[:, 2:].any(0).all()  # damage, breakdowns and truncated episodes all happened
+    program.compare(run.learned)
+    if name == "HORDQ planned":
+        program.root_policy.compare(run.learned.root)

@@ -13,7 +13,7 @@ import pytest
 import hrljax
 from hrljax.engine.evaluate import greedy_return
 from hrljax.hierarchy.definition import Hierarchy, Subtask
-from tests.learners.python_levels import Decomposed, Graph, Machines, PythonEnv, train_in_python
+from tests.learners.python_levels import Decomposed, Graph, Machines, PythonEnv, Walk, train_in_python
 from tests.words import KEY
 
 EPISODES = 40
@@ -113,30 +113,30 @@ def outcomes(domain: str) -> PythonEnv:
 
 
 @cache
-def both(name: str) -> tuple[hrljax.Run, Any, int, int]:
-    """A run, the plain program after the same run, its steps and its truncated episodes."""
+def both(name: str) -> tuple[hrljax.Run, Walk]:
+    """A run, and what the plain program went through in the same run."""
     learner, domain = CASES[name], name.split(", ")[1]
     where = DOMAINS[domain]
     run = jax.jit(lambda key: hrljax.train(where.env, learner, key, EPISODES, params=where.params))(KEY)
     program = Machines if isinstance(learner, hrljax.HAMQ) else Decomposed
-    return run, *train_in_python(program, learner, where.tasks, outcomes(domain), EPISODES)
+    return run, train_in_python(program(learner, where.tasks), outcomes(domain), EPISODES)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_run_gives_the_numbers_of_plain_python(name: str):
-    run, python, steps, truncated = both(name)
-    assert int(run.steps) == steps
-    assert 0 < truncated < EPISODES
-    assert set(python.steps_by_depth) == DOMAINS[name.split(", ")[1]].depths
-    python.compare(run.learned)
+    run, walk = both(name)
+    assert int(run.steps) == walk.steps
+    assert 0 < walk.truncated < EPISODES
+    assert set(walk.program.steps_by_depth) == DOMAINS[name.split(", ")[1]].depths
+    walk.program.compare(run.learned)
 
 
 @pytest.mark.parametrize("name", ["HORDQ, grid", "HAMQ, grid", "HORDQ, grid under a random root"])
 def test_greedy_behaviour_has_the_value_that_plain_python_finds(name: str):
     learner, domain = CASES[name], name.split(", ")[1]
     env, params = DOMAINS[domain].env, DOMAINS[domain].params
-    run, python, _, _ = both(name)
+    run, walk = both(name)
     found = greedy_return(learner, env, learner.prepare(env), run.learned, params, np.uint32(0))
     assert found.dtype == jnp.float32
-    assert float(found) == pytest.approx(python.greedy_return(outcomes(domain)), abs=1e-4)
+    assert float(found) == pytest.approx(walk.program.greedy_return(outcomes(domain)), abs=1e-4)
     assert -90 < float(found) < -3

@@ -60,7 +60,10 @@ class PythonOptions:
     def best(self, state: int) -> int:
         return max(self.can_begin(state), key=lambda option: (self.q[state, option], -option))
 
-    def begin(self, state: int, words: list[int]) -> None:
+    def begin(self, episode: int, state: int, words: list[int]) -> None:
+        self.call(state, words)
+
+    def call(self, state: int, words: list[int]) -> None:
         can_begin = self.can_begin(state)
         explores = words[0] < math.ceil(float(F(self.learner.epsilon)) * WORD_RANGE)
         self.option = can_begin[words[0] % len(can_begin)] if explores else self.best(state)
@@ -83,7 +86,7 @@ class PythonOptions:
                     value = best if terminated or self.ends(option, after) else before[after, option]
                     self.q[state, option] += size * (reward + gamma * value - before[state, option])
         if over:
-            self.begin(after, words)
+            self.call(after, words)
         else:
             self.action = self.policy(self.option, after)
 
@@ -117,9 +120,10 @@ def test_a_run_gives_the_numbers_of_plain_python(update: Any, primitives: bool):
 
     run, value = both(KEY)
     env = PythonEnv(GRID, PARAMS)
-    python, steps, truncated = train_in_python(PythonOptions, learner, options, env, EPISODES)
-    assert int(run.steps) == steps
-    assert 0 < truncated < EPISODES
+    walk = train_in_python(PythonOptions(learner, options), env, EPISODES)
+    python = walk.program
+    assert int(run.steps) == walk.steps
+    assert 0 < walk.truncated < EPISODES
     np.testing.assert_array_equal(np.asarray(run.learned).reshape(python.q.shape), python.q)
     assert (python.q != -8).any(0).all()  # every option was learned of
     assert float(value) == pytest.approx(python.greedy_return(env), abs=1e-4)
