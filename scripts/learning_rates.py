@@ -49,22 +49,22 @@ def main(options: Options) -> int:
     check(options, tuple(known))
     options.out.mkdir(parents=True, exist_ok=True)
     exact = {name: learning_rates.exact(known[name]) for name in options.domains}
-    found: learning_rates_pictures.Results = {}
+    results: learning_rates_pictures.Results = {}
     rows, best = [], []
     settings = (options.step_sizes, options.pseudo_rewards, options.seeds, options.scale, options.cores, options.key)
     runs = ((name, *of) for name in options.domains for of in learning_rates.run(known[name], exact[name], *settings))
     for name, learner, dataset in program.until_interrupted(runs):
         io.save(dataset, options.out / "stores" / f"{name}-{learner}.zarr")
-        found.setdefault(name, {})[learner] = dataset
+        results.setdefault(name, {})[learner] = dataset
         rows += learning_rates.setting_rows(name, learner, dataset)
         best.append(learning_rates.best_row(name, learner, dataset))
         seconds = best[-1]["seconds"] + best[-1]["compile_seconds"]
         print(f"{name}: {learner:12} {seconds:6.1f} s", file=sys.stderr, flush=True)
-    comparisons = [row for name, of in found.items() for row in learning_rates.comparisons(name, of)]
+    comparisons = [row for name, of in results.items() for row in learning_rates.comparisons(name, of)]
     summary = {"exact": exact, "best": best, "comparisons": comparisons}
     program.write_summary(options.out, summary)
     (options.out / "learning_rates.csv").write_text(learning_rates.csv(rows))
-    for name, figure in learning_rates_pictures.pictures(found, exact).items():
+    for name, figure in learning_rates_pictures.pictures(results, exact).items():
         figure.savefig(options.out / f"{name}.png", dpi=110)
     print(learning_rates.table(best, comparisons))
     return program.ended(options.out)

@@ -36,16 +36,16 @@ def main(options: Options) -> int:
     names = options.only or tuple(mario_ablation.CHANGES)
     mario_ablation.check_names(names)
     options.out.mkdir(parents=True, exist_ok=True)
-    rows = mario_ablation.rows(
+    details = mario_ablation.rows(
         names, options.seeds, options.episodes, options.pseudo_reward, cores=options.cores, key=options.key
     )
-    found = []
-    for row in program.until_interrupted(rows):
-        found.append(row)
-        program.write_summary(options.out, found)
+    rows = []
+    for row in program.until_interrupted(details):
+        rows.append(row)
+        program.write_summary(options.out, rows)
         print(f"{row['name']:30}{row['finished']['mean']:8.1f}{row['distance']['mean']:8.1f}", flush=True)
-    if found:
-        print("\n" + mario_ablation.table(found))
+    if rows:
+        print("\n" + mario_ablation.table(rows))
     return program.ended(options.out)
 
 

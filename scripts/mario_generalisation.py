@@ -40,8 +40,8 @@ def main(options: Options) -> int:
         options.levels,
         mario_generalisation.PLAYED_FROM,
     )
-    found: list[dict] = []
-    rows = mario_generalisation.rows(
+    rows: list[dict] = []
+    sets = mario_generalisation.rows(
         mario_generalisation.TRAINED_ON,
         played,
         mario_hybrid.BEST,
@@ -51,13 +51,13 @@ def main(options: Options) -> int:
         options.key,
         report=lambda name: print(f"trained on {name} ...", flush=True),
     )
-    for of_set in program.until_interrupted(rows):
-        found += of_set
-        program.write_summary(options.out, found)
-    if found:
-        print(mario_generalisation.table(found))
-        print("\n" + mario_generalisation.table(found, "distance"))
-        mario_generalisation.picture(found).savefig(options.out / "generalisation.png", dpi=110)
+    for of_set in program.until_interrupted(sets):
+        rows += of_set
+        program.write_summary(options.out, rows)
+    if rows:
+        print(mario_generalisation.table(rows))
+        print("\n" + mario_generalisation.table(rows, "distance"))
+        mario_generalisation.picture(rows).savefig(options.out / "generalisation.png", dpi=110)
     return program.ended(options.out)
 
 

@@ -50,15 +50,15 @@ def main(options: Options) -> int:
         exact_rows.append(optimality.exact_row(domain, optima))
         if domain.name == "Maze":
             optimality.maze_picture(optima).savefig(options.out / "maze.png", dpi=110)
-        found = {}
+        finished = {}
         runs = optimality.run(domain, options.seeds, options.scale, options.cores, options.key)
         for name, dataset in program.until_interrupted(runs):
-            found[name] = dataset
+            finished[name] = dataset
             curves.append((domain.name, name, dataset))
             rows.append(optimality.summary_row(domain, name, dataset))
             print(f"{domain.name}: {name:26} {rows[-1]['seconds']:6.1f} s", file=sys.stderr, flush=True)
-        if domain.name == "Taxi" and found:
-            optimality.taxi_picture(found, optima.optimal.mean).savefig(options.out / "taxi.png", dpi=110)
+        if domain.name == "Taxi" and finished:
+            optimality.taxi_picture(finished, optima.optimal.mean).savefig(options.out / "taxi.png", dpi=110)
     optimality.graph_picture().savefig(options.out / "task_graph.png", dpi=110)
     program.write_summary(options.out, {"exact": exact_rows, "reached": rows})
     (options.out / "optimality.csv").write_text(curves_csv(curves))

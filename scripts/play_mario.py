@@ -114,8 +114,8 @@ def _game(options: Options) -> tuple[Mario, LevelId, play.Policy]:
         raise ValueError("--actions goes with --policy recorded, and only with it")
     level_id, actions = LevelId(options.seed, options.type, options.difficulty, options.width), []
     if options.actions is not None:
-        actions, found = play.read_actions(options.actions, options.case)
-        level_id = found or level_id
+        actions, recorded_level = play.read_actions(options.actions, options.case)
+        level_id = recorded_level or level_id
     texts = (options.level.read_text(),) if options.level else ()
     numbers = level_id.level_type, level_id.difficulty, level_id.width
     env = Mario((level_id.seed,), *numbers, levels=texts, preset=options.preset, actions="all")

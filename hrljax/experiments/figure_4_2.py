@@ -47,19 +47,19 @@ def curves(num_episodes: int) -> list[Curve]:
     """The learners. Every value starts at -25, near those of the optimal policy; MAXQ's at 0."""
     hierarchy = Bus().hierarchy()
     annealed = optax.linear_schedule(5.0, 0.0, max(1, num_episodes // 2))
-    found = [
+    learners = [
         Curve("SARSA(0)", "both", SARSA(initial_value=-25.0)),
         Curve("Q-learning", "both", QLearning(initial_value=-25.0)),
     ]
     for panel, root in (("model", ModelRoot()), ("random", RandomRoot())):
         for name, pseudo_reward in (("0", 0.0), ("5", 5.0), ("60", 60.0), ("5 to 0", annealed)):
             learner = HORDQ(hierarchy, root, pseudo_reward=pseudo_reward, initial_value=-25.0)
-            found.append(Curve(f"HORDQ({name})", panel, learner))
-        found.append(Curve("MAXQ(60)", panel, MAXQ(hierarchy, root, pseudo_reward=60.0)))
+            learners.append(Curve(f"HORDQ({name})", panel, learner))
+        learners.append(Curve("MAXQ(60)", panel, MAXQ(hierarchy, root, pseudo_reward=60.0)))
     in_backup = PseudoRewardInBackup(hierarchy, RandomRoot(), pseudo_reward=5.0, initial_value=-25.0)
-    found.append(Curve("MAXQ(0), random root", "fails", MAXQ(hierarchy, RandomRoot(), pseudo_reward=0.0)))
-    found.append(Curve("HORDQ(5 in the backup), random root", "fails", in_backup))
-    return found
+    learners.append(Curve("MAXQ(0), random root", "fails", MAXQ(hierarchy, RandomRoot(), pseudo_reward=0.0)))
+    learners.append(Curve("HORDQ(5 in the backup), random root", "fails", in_backup))
+    return learners
 
 
 def exact() -> dict[str, Any]:

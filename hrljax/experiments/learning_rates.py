@@ -150,7 +150,7 @@ def measured(dataset: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
         window=min(3 * int(ends[0]), last),
     )
     curve = stats.mean_interval(returns)
-    found = xr.Dataset(
+    summary = xr.Dataset(
         {
             "mean_return": stats.episode_range(returns, 0, last),
             "final_return": stats.episode_range(returns, late if late < last else 0, last),
@@ -162,9 +162,9 @@ def measured(dataset: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
         },
         attrs=dataset.attrs,
     )
-    found["mean_return"].attrs = {"long_name": "return per episode", **_RETURN}
-    found["final_return"].attrs = {"long_name": "return per episode at the end", **_RETURN}
-    return found
+    summary["mean_return"].attrs = {"long_name": "return per episode", **_RETURN}
+    summary["final_return"].attrs = {"long_name": "return per episode at the end", **_RETURN}
+    return summary
 
 
 def best(dataset: xr.Dataset) -> dict[str, float]:
@@ -214,9 +214,9 @@ def best_row(domain: str, learner: str, dataset: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def comparisons(domain: str, found: dict[str, xr.Dataset]) -> list[dict[str, Any]]:
+def comparisons(domain: str, datasets: dict[str, xr.Dataset]) -> list[dict[str, Any]]:
     """How HORDQ compares with each other learner, both at their best, run by run."""
-    chosen = {name: dataset["mean_return"].sel(best(dataset), drop=True) for name, dataset in found.items()}
+    chosen = {name: dataset["mean_return"].sel(best(dataset), drop=True) for name, dataset in datasets.items()}
     rows = []
     for name, runs in chosen.items():
         if "HORDQ" not in chosen or name == "HORDQ":

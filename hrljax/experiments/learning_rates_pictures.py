@@ -19,10 +19,10 @@ def pictures(results: Results, values: dict[str, dict[str, float]]) -> dict[str,
         values: those of `learning_rates.exact` by domain.
     """
     finished = {
-        domain: {name: dataset for name, dataset in found.items() if dataset["mean_return"].notnull().any()}
-        for domain, found in results.items()
+        domain: {name: dataset for name, dataset in datasets.items() if dataset["mean_return"].notnull().any()}
+        for domain, datasets in results.items()
     }
-    shown = {domain: found for domain, found in finished.items() if found}
+    shown = {domain: datasets for domain, datasets in finished.items() if datasets}
     if not shown:
         return {}
     figures = {"sensitivity": sensitivity(shown, values), "intervals": intervals(shown, values)}
@@ -34,8 +34,8 @@ def heat_maps(results: Results) -> Figure:
     names = _hierarchical(results)
     figure = Figure(figsize=(6.6 * len(names), 3.5 * len(results)), layout="constrained")
     panels = figure.subplots(len(results), len(names), squeeze=False)
-    for (domain, found), row in zip(results.items(), panels, strict=True):
-        shown = {name: found[name]["mean_return"] for name in names if name in found}
+    for (domain, datasets), row in zip(results.items(), panels, strict=True):
+        shown = {name: datasets[name]["mean_return"] for name in names if name in datasets}
         means = [stats.estimate(values, "mean") for values in shown.values()]
         for name, ax in zip(names, row, strict=False):
             if name in shown:
@@ -52,16 +52,16 @@ def sensitivity(results: Results, values: dict[str, dict[str, float]]) -> Figure
     """Mean return against step size: learners at their best pseudo-reward above, HORDQ at each of them below."""
     figure = Figure(figsize=(5.6 * len(results), 8.6), layout="constrained")
     panels = figure.subplots(2, len(results), squeeze=False, sharex="col", sharey="col")
-    for number, (domain, found) in enumerate(results.items()):
+    for number, (domain, datasets) in enumerate(results.items()):
         references = {"best epsilon-soft": values[domain]["epsilon_soft"]}
-        learners = dict(_at_best_pseudo_reward(name, dataset) for name, dataset in found.items())
+        learners = dict(_at_best_pseudo_reward(name, dataset) for name, dataset in datasets.items())
         above, below = panels[:, number]
         plots.sensitivity(learners, "step_size", references=references, ax=above)
         above.set_title(domain)
         above.set_xlabel("")
-        if "HORDQ" in found:
+        if "HORDQ" in datasets:
             plots.sensitivity(
-                {"HORDQ": found["HORDQ"]["mean_return"]},
+                {"HORDQ": datasets["HORDQ"]["mean_return"]},
                 "step_size",
                 lines="pseudo_reward",
                 references=references,
@@ -76,9 +76,9 @@ def intervals(results: Results, values: dict[str, dict[str, float]]) -> Figure:
     """Mean and interquartile mean of every learner at its best setting."""
     figure = Figure(figsize=(9.6, 2.5 * len(results)), layout="constrained")
     panels: list[Axes] = list(figure.subplots(len(results), 1, squeeze=False)[:, 0])
-    for (domain, found), ax in zip(results.items(), panels, strict=True):
+    for (domain, datasets), ax in zip(results.items(), panels, strict=True):
         chosen = {}
-        for name, dataset in found.items():
+        for name, dataset in datasets.items():
             setting = best(dataset)
             described = ", ".join(f"{style.readable(key)} {value:g}" for key, value in setting.items())
             chosen[f"{name}, {described}"] = dataset["mean_return"].sel(setting, drop=True)
@@ -89,7 +89,9 @@ def intervals(results: Results, values: dict[str, dict[str, float]]) -> Figure:
 
 def _hierarchical(results: Results) -> list[str]:
     """Learners with a pseudo-reward, in their order."""
-    named = (name for found in results.values() for name, dataset in found.items() if "pseudo_reward" in dataset.dims)
+    named = (
+        name for datasets in results.values() for name, dataset in datasets.items() if "pseudo_reward" in dataset.dims
+    )
     return list(dict.fromkeys(named))
 
 

@@ -24,8 +24,8 @@ class Change:
     params: Mapping[str, float] = field(default_factory=dict)
 
     def __or__(self, other: "Change") -> "Change":
-        own, others = vars(self), vars(other)
-        return Change(**{part: {**own[part], **others[part]} for part in own})
+        first, second = vars(self), vars(other)
+        return Change(**{part: {**first[part], **second[part]} for part in first})
 
     def environment(self) -> Mario:
         return dataclasses.replace(mario_hybrid.environment(), **self.env)
@@ -93,11 +93,11 @@ def rows(
             return
 
 
-def table(found: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[dict[str, Any]]) -> str:
     """The rows as text."""
     lines = [f"{'':30}{'levels finished':>16}{'distance':>10}{'steps':>9}"]
-    for row in found:
-        own = f"{row['finished']['mean']:16.1f}{row['distance']['mean']:10.1f}{row['steps']:9.0f}"
-        lines.append(f"{row['name']:30}{own}")
-    lines.append(f"of {found[0]['episodes']} episodes, mean of {found[0]['seeds']} seeds; distance in tiles")
+    for row in rows:
+        numbers = f"{row['finished']['mean']:16.1f}{row['distance']['mean']:10.1f}{row['steps']:9.0f}"
+        lines.append(f"{row['name']:30}{numbers}")
+    lines.append(f"of {rows[0]['episodes']} episodes, mean of {rows[0]['seeds']} seeds; distance in tiles")
     return "\n".join(lines)

@@ -88,12 +88,12 @@ def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | 
     def game(row: Any) -> dict[str, Array]:
         level, tables = row
         zero = opaque_zero(level.astype(jnp.uint32))
-        moment = Context(jnp.int32(0), jnp.bool_(True), zero)
-        nothing = (jnp.uint32(0),) * learner.num_begin_words
+        context = Context(jnp.int32(0), jnp.bool_(True), zero)
+        words = (jnp.uint32(0),) * learner.num_begin_words
 
         def step(carry: tuple[Any, Array, dict[str, Array]]) -> tuple[Any, Array, dict[str, Array]]:
             state, _, sums = carry
-            action = learner.action(learner.begin(prepared, tables, state, nothing, moment))
+            action = learner.action(learner.begin(prepared, tables, state, words, context))
             state, reward, terminated, info = env.transition(state, action, (), params)
             new = {"win": info["win"], "distance": info["distance"], "length": jnp.float32(1), "return": reward}
             return state, terminated, {name: sums[name] + jnp.float32(value) for name, value in new.items()}
@@ -106,10 +106,10 @@ def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | 
     levels = np.arange(env.course.num_levels, dtype=np.int32)
     everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(levels), *np.shape(leaf))), tables)
     compiled = batch.compile_mapped(game, mapping, nested=env.has_loops)
-    found = batch.run_many(compiled, (levels, everywhere), mapping=mapping, cores=cores)
-    if not found.finished.all():
+    results = batch.run_many(compiled, (levels, everywhere), mapping=mapping, cores=cores)
+    if not results.finished.all():
         raise KeyboardInterrupt
-    return found.values
+    return results.values
 
 
 def trained_tables(
@@ -143,7 +143,7 @@ def rows(
             tables = [jax.tree.map(np.asarray, learner.init(env, learner.prepare(env)).tables)]
         else:
             tables = trained_tables(TRAINED_ON[name], learner, seeds, num_episodes, cores=cores, key=key)
-        games = [play_levels(played.environment, playing, own, cores) for own in tables]
+        games = [play_levels(played.environment, playing, learned, cores) for learned in tables]
         by_level = {of: np.stack([game[of] for game in games]) for of in games[0]}
         yield list(_by_kind(name, played, by_level))
 
@@ -153,34 +153,34 @@ def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> It
     kinds = np.array([kind[:2] for kind in played.table])
     for level_type in played.level_types:
         for difficulty in played.difficulties:
-            own = (kinds == (level_type, difficulty)).all(axis=1)
-            wins = xr.DataArray(by_level["win"][:, own].mean(axis=1), dims="seed")
+            of_kind = (kinds == (level_type, difficulty)).all(axis=1)
+            wins = xr.DataArray(by_level["win"][:, of_kind].mean(axis=1), dims="seed")
             yield {
                 "trained_on": name,
                 "level_type": level_type,
                 "difficulty": difficulty,
                 "finished": interval_row(stats.mean_interval(wins)),
-                "distance": float(by_level["distance"][:, own].mean()),
-                "return": float(by_level["return"][:, own].mean()),
-                "length": float(by_level["length"][:, own].mean()),
-                "levels": int(own.sum()),
+                "distance": float(by_level["distance"][:, of_kind].mean()),
+                "return": float(by_level["return"][:, of_kind].mean()),
+                "length": float(by_level["length"][:, of_kind].mean()),
+                "levels": int(of_kind.sum()),
                 "seeds": len(wins),
             }
 
 
-def table(found: Sequence[dict[str, Any]], of: Literal["finished", "distance"] = "finished") -> str:
+def table(rows: Sequence[dict[str, Any]], of: Literal["finished", "distance"] = "finished") -> str:
     """Percent of levels finished, or mean distance: a line for every set that was trained on and every type."""
-    difficulties = sorted({row["difficulty"] for row in found})
+    difficulties = sorted({row["difficulty"] for row in rows})
     heads = "".join(f"{'d = ' + str(d):>8}" for d in difficulties)
     lines = [f"{'trained on':26}{'type':>5}  {heads}{'mean':>8}"]
-    for name in dict.fromkeys(row["trained_on"] for row in found):
-        for level_type in sorted({row["level_type"] for row in found}):
-            own = [row for row in found if (row["trained_on"], row["level_type"]) == (name, level_type)]
-            values = [_shown(row, of) for row in sorted(own, key=lambda row: row["difficulty"])]
+    for name in dict.fromkeys(row["trained_on"] for row in rows):
+        for level_type in sorted({row["level_type"] for row in rows}):
+            of_type = [row for row in rows if (row["trained_on"], row["level_type"]) == (name, level_type)]
+            values = [_shown(row, of) for row in sorted(of_type, key=lambda row: row["difficulty"])]
             cells = "".join(f"{value:8.0f}" for value in (*values, np.mean(values)))
             lines.append(f"{name:26}{level_type:5}  {cells}")
     what = "percent finished" if of == "finished" else "mean distance (tiles)"
-    lines.append(f"{what} of {found[0]['levels']} levels of each type and difficulty d that nothing was trained on")
+    lines.append(f"{what} of {rows[0]['levels']} levels of each type and difficulty d that nothing was trained on")
     return "\n".join(lines)
 
 
@@ -188,16 +188,16 @@ def _shown(row: dict[str, Any], of: Literal["finished", "distance"]) -> float:
     return 100 * row["finished"]["mean"] if of == "finished" else row["distance"]
 
 
-def picture(found: Sequence[dict[str, Any]]) -> Figure:
+def picture(rows: Sequence[dict[str, Any]]) -> Figure:
     """Mean distance by type and difficulty, a panel for every set that was trained on."""
-    names = list(dict.fromkeys(row["trained_on"] for row in found))
-    types, difficulties = (sorted({row[of] for row in found}) for of in ("level_type", "difficulty"))
+    names = list(dict.fromkeys(row["trained_on"] for row in rows))
+    types, difficulties = (sorted({row[of] for row in rows}) for of in ("level_type", "difficulty"))
     figure = Figure(figsize=(3.1 * len(names) + 0.8, 2.6), layout="constrained")
     axes = figure.subplots(1, len(names), squeeze=False)[0]
     image = None
     for ax, name in zip(axes, names, strict=True):
         values = np.zeros((len(types), len(difficulties)))
-        for row in (row for row in found if row["trained_on"] == name):
+        for row in (row for row in rows if row["trained_on"] == name):
             values[types.index(row["level_type"]), difficulties.index(row["difficulty"])] = row["distance"]
         image = ax.imshow(values, vmin=0, vmax=_EXIT_DISTANCE, cmap="viridis")
         for (i, j), value in np.ndenumerate(values):

@@ -164,8 +164,8 @@ class Agent:
         settled = with_tabulated_schedules(learner, 1)
 
         def decide(tables: Tables, episode: Episode, word: jax.Array) -> jax.Array:
-            moment = Context(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
-            return settled.begin(prepared, tables, episode, (word,), moment).action
+            context = Context(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
+            return settled.begin(prepared, tables, episode, (word,), context).action
 
         def search(tables: Tables, episode: Episode) -> Any:
             assert learner.root is not None
@@ -217,8 +217,8 @@ def film(agent: Agent, steps: list[Step], path: Any) -> None:
 
 def search_picture(agent: Agent, episode: Episode) -> Figure:
     """A search tree drawn on the screen (thesis Figure 4.3(b))."""
-    found = agent.search(agent.tables, episode)
-    tree, pixels = found.tree, 32
+    searched = agent.search(agent.tables, episode)
+    tree, pixels = searched.tree, 32
     camera = float(episode.world.camera)
     figure = Figure(figsize=(10, 8), layout="constrained")
     ax = figure.subplots()
@@ -229,10 +229,10 @@ def search_picture(agent: Agent, episode: Episode) -> Figure:
     for node in range(1, number):
         ax.plot(x[[parent[node], node]], y[[parent[node], node]], color="0.35", lw=0.7, alpha=0.5)
     ax.scatter(x[:number], y[:number], c=np.asarray(tree.value)[:number], s=14, cmap="viridis", zorder=3)
-    node = int(found.node)
+    node = int(searched.node)
     while parent[node] >= 0:
         ax.plot(x[[parent[node], node]], y[[parent[node], node]], color=plots.COLOURS[1], lw=2.2, zorder=4)
         node = int(parent[node])
-    ax.set_title(f"{number - 1} nodes; the best sequence promises {float(found.value):+.2f}")
+    ax.set_title(f"{number - 1} nodes; the best sequence promises {float(searched.value):+.2f}")
     ax.set_axis_off()
     return figure

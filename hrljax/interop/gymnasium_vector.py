@@ -105,9 +105,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
         checks.instance("seed", seed, (Sequence, np.ndarray), "an integer, a sequence of integers or None")
         if len(seed) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} environments, got {len(seed)}")
-        for i, own in enumerate(seed):
-            if own is not None and mask[i]:
-                self._generators[i] = seeding.np_random(own)
+        for i, seed_of_one in enumerate(seed):
+            if seed_of_one is not None and mask[i]:
+                self._generators[i] = seeding.np_random(seed_of_one)
                 self._next_keys[i] = episodes.draw_key(self._generators[i][0])
         if self._batch is None:
             self._batch = episodes.begin_all(self.environment, self.params, self._next_keys.copy())

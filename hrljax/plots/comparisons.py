@@ -48,8 +48,8 @@ def intervals(
     rows = np.arange(len(values))
     apart = 0.5 / len(statistics)
     for number, (statistic, line, marker) in enumerate(zip(statistics, style.lines(), style.markers(), strict=False)):
-        found = np.array([[float(part) for part in style.interval(runs, statistic)] for runs in values.values()])
-        middle, low, high = np.where(np.isfinite(found), found, np.nan).T
+        parts = np.array([[float(part) for part in style.interval(runs, statistic)] for runs in values.values()])
+        middle, low, high = np.where(np.isfinite(parts), parts, np.nan).T
         place = rows + apart * (number - (len(statistics) - 1) / 2)
         ax.hlines(place, low, high, color=line["color"], lw=3, alpha=0.45)
         ax.plot(middle, place, marker, color=line["color"], ms=6, label=style.readable(statistic))

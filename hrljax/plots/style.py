@@ -60,8 +60,8 @@ def setting(names: tuple[Hashable, ...], chosen: tuple[Any, ...]) -> str:
 
 def finished(values: xr.DataArray, *along: Hashable) -> str:
     """How many seeds are in a picture; with further dimensions, those without a gap in them."""
-    there = values.notnull()
-    counts = (there.all(along) if along else there).sum("seed")
+    finite = values.notnull()
+    counts = (finite.all(along) if along else finite).sum("seed")
     low, high = int(counts.min()), int(counts.max())
     return f"n={low}" if low == high else f"n={low} to {high}"
 
@@ -69,10 +69,10 @@ def finished(values: xr.DataArray, *along: Hashable) -> str:
 def interval(values: xr.DataArray, statistic: Statistic) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
     """A statistic over seeds with its 95 % interval: Student's of the mean, else the bootstrap's."""
     if statistic == "mean" and np.isfinite(values.where(values.notnull(), 0)).all():
-        found = stats.mean_interval(values)
+        estimate = stats.mean_interval(values)
     else:
-        found = stats.bootstrap_interval(values, statistic)
-    return found[statistic], found["low"], found["high"]
+        estimate = stats.bootstrap_interval(values, statistic)
+    return estimate[statistic], estimate["low"], estimate["high"]
 
 
 def check_seeds(values: xr.DataArray, what: str, *allowed: Hashable) -> None:

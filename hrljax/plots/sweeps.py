@@ -57,8 +57,8 @@ def heat_map(
     checks.choice("best", best, ("greatest", "least", None))
     checks.choice("statistic", statistic, Statistic)
     chosen = None if limits is None else _checked_limits(limits)
-    found = stats.estimate(values, statistic).transpose(y, x)
-    cells = found.values
+    estimates = stats.estimate(values, statistic).transpose(y, x)
+    cells = estimates.values
     drawn = np.ma.masked_invalid(cells)
     low, high = chosen or ((drawn.min(), drawn.max()) if drawn.count() else (0, 1))
     ax = style.axes(ax, 2.4 + 0.75 * cells.shape[1], 1.8 + 0.55 * cells.shape[0])
@@ -72,8 +72,8 @@ def heat_map(
     if best and drawn.count():
         row, column = np.unravel_index(drawn.argmax() if best == "greatest" else drawn.argmin(), cells.shape)
         ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, ec="#D55E00", lw=2.5, clip_on=False))
-    ax.set_xticks(range(cells.shape[1]), [f"{value:g}" for value in found[x].values])
-    ax.set_yticks(range(cells.shape[0]), [f"{value:g}" for value in found[y].values])
+    ax.set_xticks(range(cells.shape[1]), [f"{value:g}" for value in estimates[x].values])
+    ax.set_yticks(range(cells.shape[0]), [f"{value:g}" for value in estimates[y].values])
     ax.set_xlabel(style.label(values[x]))
     ax.set_ylabel(style.label(values[y]))
     below, above = bool((drawn < low).any()), bool((drawn > high).any())

@@ -77,8 +77,8 @@ def _improvements(
     shape = np.broadcast_shapes(first.shape[:-1], second.shape[:-1])
     firsts = np.broadcast_to(first, (*shape, first.shape[-1])).reshape(-1, first.shape[-1])
     seconds = np.broadcast_to(second, (*shape, second.shape[-1])).reshape(-1, second.shape[-1])
-    found = [_improvement(a, b, level, resamples, key) for a, b in zip(firsts, seconds, strict=True)]
-    return tuple(np.array(part, np.float64).reshape(shape) for part in zip(*found, strict=True))
+    pairs = [_improvement(a, b, level, resamples, key) for a, b in zip(firsts, seconds, strict=True)]
+    return tuple(np.array(part, np.float64).reshape(shape) for part in zip(*pairs, strict=True))
 
 
 def _improvement(

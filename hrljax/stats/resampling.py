@@ -52,17 +52,17 @@ def bootstrap(
     result = Interval(estimates(flat, statistic), *np.full((2, len(flat)), np.nan))
     finished, group = np.unique(~np.isnan(flat), axis=0, return_inverse=True)
     at_once = max(1, _BLOCK // resamples)
-    for number, there in enumerate(finished):
-        if there.sum() < 2:
+    for number, present in enumerate(finished):
+        if present.sum() < 2:
             continue
         (cells,) = np.nonzero(group.ravel() == number)
         for block in np.split(cells, range(at_once, len(cells), at_once)):
-            sample = flat[block][:, there]
-            found = _replicates(sample, statistic, resamples, key)
+            sample = flat[block][:, present]
+            replicates = _replicates(sample, statistic, resamples, key)
             shares = np.full((len(block), 2), [(1 - level) / 2, (1 + level) / 2])
             if method == "bca":
-                shares = _corrected(shares, found, sample, result.estimate[block], statistic)
-            result.low[block], result.high[block] = quantiles(found, shares).T
+                shares = _corrected(shares, replicates, sample, result.estimate[block], statistic)
+            result.low[block], result.high[block] = quantiles(replicates, shares).T
     return Interval(*(part.reshape(samples.shape[:-1]) for part in result))
 
 
@@ -102,17 +102,17 @@ def _replicates(samples: np.ndarray, statistic: Statistic, resamples: int, key: 
     """The statistic of every resample of every sample, ``[samples, resamples]``."""
     size = samples.shape[-1]
     cut = trimmed(statistic, size)
-    found = np.empty((len(samples), resamples))
+    replicates = np.empty((len(samples), resamples))
     for rows, index in resampled(np.random.default_rng(key), size, resamples):
         if cut == 0 and np.isfinite(samples).all():
-            found[:, rows] = samples @ counted(index).T / size
+            replicates[:, rows] = samples @ counted(index).T / size
             continue
         for number, sample in enumerate(samples):
             drawn = sample[index]
             drawn.sort(axis=-1)
             with np.errstate(invalid="ignore"):
-                found[number, rows] = drawn[:, cut : size - cut].mean(-1)
-    return found
+                replicates[number, rows] = drawn[:, cut : size - cut].mean(-1)
+    return replicates
 
 
 def _corrected(

@@ -61,15 +61,15 @@ def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
     Raises:
         ValueError: as `hrljax.hierarchy.tables.tabulate`, or a schedule leaves its interval.
     """
-    found: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     for name, value in with_tabulated_schedules(learner, num_episodes).settings().items():
         if isinstance(value, Hierarchy):
-            found[f"digest.learner.{name}"] = hierarchy_digest(env, value)
+            by_name[f"digest.learner.{name}"] = hierarchy_digest(env, value)
         elif isinstance(value, Options):
-            found[f"digest.learner.{name}"] = options_digest(value)
+            by_name[f"digest.learner.{name}"] = options_digest(value)
         elif isinstance(value, Tabulated):
-            found[f"digest.learner.{name}"] = _digest([value.values])
-    return found
+            by_name[f"digest.learner.{name}"] = _digest([value.values])
+    return by_name
 
 
 def hierarchy_digest(env: Any, hierarchy: Hierarchy) -> str:
@@ -94,11 +94,10 @@ def _digest(arrays: list[np.ndarray]) -> str:
     return digest.hexdigest()[:32]
 
 
-def differences(there: Mapping[str, Any], here: Mapping[str, Any], ignored: tuple[str, ...] = ()) -> list[str]:
-    """What differs between two sets of settings, as text that names both values."""
-    names = [name for name in {**there, **here} if name not in ignored]
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What differs between two sets of settings, as text that names both values: those of before, and the ones now."""
     return [
-        f"{name} is {there.get(name, 'absent')!r} there and {here.get(name, 'absent')!r} here"
-        for name in names
-        if there.get(name) != here.get(name)
+        f"{name} is {before.get(name, 'absent')!r} there and {now.get(name, 'absent')!r} here"
+        for name in {**before, **now}
+        if before.get(name) != now.get(name)
     ]

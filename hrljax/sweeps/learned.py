@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import io
-import json
-import zipfile
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,24 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from hrljax.core import checks
-from hrljax.core.files import write_atomically
 from hrljax.engine.start import Start, described, learned_shapes, named_leaves, step_words, tree_of
 from hrljax.envs.base import AnyEnvironment, Environment
-from hrljax.envs.registry import make, registered
-from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
 from hrljax.learners.base import Learner, outside_of_training
-from hrljax.learners.hyperparameters import Settings
-from hrljax.learners.options.definition import Options
-from hrljax.sweeps.axes import env_name, of_learner
+from hrljax.sweeps import learned_file
+from hrljax.sweeps.axes import of_learner
 from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables
-from hrljax.sweeps.fingerprint import as_attribute, differences, hierarchy_digest, options, options_digest
 
 if TYPE_CHECKING:
     import xarray as xr
 
-_FORMAT, _VERSION = "hrljax learned", 1
-_HEADER = "header"
 _MOST_SHOWN = 12
 """Values of an axis that a message lists."""
 
@@ -135,19 +123,7 @@ class Learned:
         """
         path = checks.path("path", path)
         tables = {name: np.asarray(leaf) for name, leaf in named_leaves(self.tables)}
-        header = {
-            "format": _FORMAT,
-            "version": _VERSION,
-            "hrljax": version("hrljax"),
-            **_settings(self.env, self.learner),
-            "tables": sorted(tables),
-            "episodes": self.episodes,
-            "steps": self.steps,
-        }
-        content = io.BytesIO()
-        np.savez(content, **{_HEADER: np.frombuffer(json.dumps(header).encode(), np.uint8)}, **tables)  # type: ignore[arg-type]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, content.getvalue())
+        learned_file.write(path, self.env, self.learner, tables, self.episodes, self.steps)
 
     @classmethod
     def load(cls, path: str | Path, env: AnyEnvironment | None = None, learner: Learner | None = None) -> Learned:
@@ -164,19 +140,9 @@ class Learned:
             ValueError: the file is damaged, no such file, of a version that is not known, or of
                 another environment or learner than those that are given. The message says which.
         """
-        header, tables = _read(checks.path("path", path))
-        where = f"{path} holds what was learned"
-        if env is None:
-            name = header["environment"]
-            if name not in registered():
-                raise ValueError(f"{where} on {name!r}, which is not registered; give it as env")
-            env = make(name, **{option: _option(value) for option, value in header["options"].items()})
-        assert env is not None
-        learner = learner or _learner(env, header, where)
-        here = json.loads(json.dumps(_settings(env, learner)))
-        wrong = differences(_flat({name: header[name] for name in here}), _flat(here))
-        if wrong:
-            raise ValueError(f"{where} with other settings: {'; '.join(wrong)}")
+        path = checks.path("path", path)
+        header, tables = learned_file.read(path)
+        env, learner = learned_file.owners(path, header, env, learner)
         if sorted(tables) != header["tables"]:
             raise ValueError(f"{path} is damaged: it has the tables {sorted(tables)} instead of {header['tables']}")
         trained = {name: int(header.get(name, 0)) for name in ("episodes", "steps")}  # older files do not say
@@ -233,96 +199,3 @@ class StatePolicy:
     def __call__(self, state: Any) -> int:
         """The action (its number) in a state of the environment."""
         return int(self._choose(self._tables, state))
-
-
-def _settings(env: Any, learner: Learner) -> dict[str, Any]:
-    """What tables belong to, as JSON has it."""
-    settings: dict[str, Any] = {}
-    for name, value in learner.settings().items():
-        if isinstance(value, Hierarchy):
-            settings[name] = {"hierarchy": hierarchy_digest(env, value)}
-        elif isinstance(value, Options):
-            settings[name] = {"options": options_digest(value)}
-        elif callable(value):
-            settings[name] = {"schedule": as_attribute(value)}
-        elif dataclasses.is_dataclass(value):
-            settings[name] = {"fields": dataclasses.asdict(value)}  # type: ignore[arg-type]
-        else:
-            settings[name] = value if value is None or isinstance(value, bool) else as_attribute(value)
-    return {
-        "environment": env.name,
-        "options": {name: _plain(value) for name, value in options(env).items()},
-        "learner": type(learner).__name__,
-        "settings": settings,
-    }
-
-
-def _plain(value: Any) -> Any:
-    """An environment's option as JSON has it; `_option` is the way back."""
-    if isinstance(value, tuple):
-        return [_plain(entry) for entry in value]
-    return value if value is None or isinstance(value, int | float) else str(value)
-
-
-def _option(value: Any) -> Any:
-    return tuple(_option(entry) for entry in value) if isinstance(value, list) else value
-
-
-def _flat(header: dict[str, Any]) -> dict[str, Any]:
-    settings = {f"learner.{name}": value for name, value in header["settings"].items()}
-    own = {env_name(name): value for name, value in header["options"].items()}
-    return {"environment": header["environment"], "learner": header["learner"], **own, **settings}
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    content = io.BytesIO(path.read_bytes())
-    try:
-        with np.load(content, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        header = json.loads(arrays.pop(_HEADER).tobytes())
-        found = header["format"], header["version"]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is damaged or was not written by hrljax: {error}") from error
-    if found != (_FORMAT, _VERSION):
-        raise ValueError(f"{path} is {found[0]!r} of version {found[1]}; known is {_FORMAT!r} of version {_VERSION}")
-    return header, arrays
-
-
-def _learner(env: Any, header: dict[str, Any], where: str) -> Learner:
-    """The learner that a header describes."""
-    settings: dict[str, Any] = {}
-    for name, value in header["settings"].items():
-        for kind, what in (("schedule", f"{name} as a schedule"), ("options", "options")):
-            if isinstance(value, dict) and kind in value:
-                raise ValueError(f"{where} with {what}, which files do not hold; give the learner")
-        if isinstance(value, dict) and "hierarchy" in value:
-            if value != {"hierarchy": hierarchy_digest(env, env.hierarchy())}:
-                raise ValueError(f"{where} with another hierarchy than {env.name}'s own; give the learner")
-            value = env.hierarchy()
-        settings[name] = value
-    return _built(Learner, header["learner"], settings, where)
-
-
-def _built(base: type[Any], name: str, settings: Mapping[str, Any], where: str) -> Any:
-    """An object of the subclass of `base` with a name, from settings as `Settings.settings` gives them."""
-    classes = {cls.__name__: cls for cls in _subclasses(base)}
-    if name not in classes:
-        raise ValueError(f"{where} by {name!r}, which is not known; import it or give the learner")
-    own: dict[str, Any] = {}
-    for key, value in settings.items():
-        if "." in key or key not in classes[name].__dataclass_fields__:
-            continue
-        nested = {k.removeprefix(f"{key}."): v for k, v in settings.items() if k.startswith(f"{key}.")}
-        is_settings = isinstance(value, str) and value in {cls.__name__ for cls in _subclasses(Settings)}
-        own[key] = _built(Settings, value, nested, where) if is_settings else value
-        if isinstance(value, dict):  # of the class of the default value
-            own[key] = type(classes[name].__dataclass_fields__[key].default)(**value["fields"])
-    fields = classes[name].__dataclass_fields__
-    return classes[name](**{key: value for key, value in own.items() if fields[key].init})
-
-
-def _subclasses(base: type[Any]) -> list[type[Any]]:
-    found = [base]
-    for cls in found:
-        found += cls.__subclasses__()
-    return found

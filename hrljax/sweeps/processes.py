@@ -37,6 +37,6 @@ def begin_worker(cores: list[int], number: Any) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with number.get_lock():
-        own, number.value = number.value, number.value + 1
+        place, number.value = number.value, number.value + 1
     if cores:
-        os.sched_setaffinity(0, {cores[own % len(cores)]})
+        os.sched_setaffinity(0, {cores[place % len(cores)]})

@@ -225,12 +225,12 @@ def _compare_tiles(trajectory: Trajectory, tiles: np.ndarray, record: TickRecord
 
 def courses(ids: Sequence[LevelId]) -> dict[LevelId, tuple[Course, int]]:
     """For each level its course, shared by all levels of its width, and its index there."""
-    found = {}
+    by_level = {}
     for width in sorted({i.width for i in ids}):
-        own = sorted({i for i in ids if i.width == width})
-        course = jax.tree.map(jnp.asarray, make_course(*map(level_of, own)))
-        found |= {level_id: (course, index) for index, level_id in enumerate(own)}
-    return found
+        of_this_width = sorted({i for i in ids if i.width == width})
+        course = jax.tree.map(jnp.asarray, make_course(*map(level_of, of_this_width)))
+        by_level |= {level_id: (course, index) for index, level_id in enumerate(of_this_width)}
+    return by_level
 
 
 def check_trajectories(path: recordings.Path) -> Iterator[Verdict]:
@@ -355,13 +355,13 @@ def _step_difference(
     mine["y"] = 16.0 - mine["depth"].astype(np.float64)
     theirs = dict(zip(("kind", "winged", "x", "y", "dx", "dy"), (*types.T, *numbers.T), strict=True))
     for name, values in theirs.items():
-        own = mine[name].astype(values.dtype)
-        differs = own.view(np.uint8).reshape(count, -1) != np.ascontiguousarray(values).view(np.uint8).reshape(
+        replayed = mine[name].astype(values.dtype)
+        differs = replayed.view(np.uint8).reshape(count, -1) != np.ascontiguousarray(values).view(np.uint8).reshape(
             count, -1
         )
         if differs.any():
             i = int(np.argmax(differs.any(axis=1)))
-            return f"object {i}: {name} is {own[i]}, not {values[i]}"
+            return f"object {i}: {name} is {replayed[i]}, not {values[i]}"
     return ""
 
 

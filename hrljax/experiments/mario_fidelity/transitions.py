@@ -37,11 +37,13 @@ def read_transitions(episodes: Sequence[Episode]) -> Transitions:
     if not episodes:
         raise ValueError("episodes must hold at least one recorded episode, got none")
     steps = [episode.num_steps for episode in episodes]
-    own = [np.stack([episode.objects(row)[1][0] for row in range(episode.num_steps + 1)]) for episode in episodes]
-    velocities = [numbers[:, 2:] * TILES_PER_STEP for numbers in own]
+    marios = [np.stack([episode.objects(row)[1][0] for row in range(episode.num_steps + 1)]) for episode in episodes]
+    velocities = [numbers[:, 2:] * TILES_PER_STEP for numbers in marios]
     windows = [_windows(episode) for episode in episodes]
     inputs = [np.concatenate([w, v[:-1]], axis=1) for w, v in zip(windows, velocities, strict=True)]
-    targets = [np.concatenate([np.diff(n[:, :2], axis=0), v[1:]], axis=1) for n, v in zip(own, velocities, strict=True)]
+    targets = [
+        np.concatenate([np.diff(n[:, :2], axis=0), v[1:]], axis=1) for n, v in zip(marios, velocities, strict=True)
+    ]
     actions = [ALL_ACTIONS.index(tuple(map(int, row))) for episode in episodes for row in episode.actions[1:]]
     return Transitions(
         np.concatenate(inputs).astype(np.float32),
@@ -55,7 +57,7 @@ def read_transitions(episodes: Sequence[Episode]) -> Transitions:
 def _windows(episode: Episode) -> np.ndarray:
     """``[steps, 25]`` int: the symbols around Mario before every step."""
     size = 2 * _REACH + 1
-    found = np.zeros((episode.num_steps, size * size), int)
+    windows = np.zeros((episode.num_steps, size * size), int)
     for row in range(episode.num_steps):
         types, numbers = episode.objects(row)
         screen = np.array([[TILE_CHARACTERS.find(chr(c)) for c in line] for line in episode.symbols[row]])
@@ -69,5 +71,5 @@ def _windows(episode: Episode) -> np.ndarray:
         down, right = np.clip(lines[0] + around, -1, ROWS - 1), np.clip(columns[0] + around, 0, COLUMNS - 1)
         # Above the screen it is empty; elsewhere it goes on as it ends.
         above = np.concatenate([screen, np.zeros((1, COLUMNS), int)])
-        found[row] = above[down][:, right].ravel()
-    return found
+        windows[row] = above[down][:, right].ravel()
+    return windows
