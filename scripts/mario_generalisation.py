@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import interruptible  # noqa: F401
 
@@ -40,7 +41,7 @@ def main(options: Options) -> int:
         options.levels,
         mario_generalisation.PLAYED_FROM,
     )
-    rows: list[dict] = []
+    rows: list[dict[str, Any]] = []
     sets = mario_generalisation.rows(
         mario_generalisation.TRAINED_ON,
         played,

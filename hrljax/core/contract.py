@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.tree_util import KeyPath
 
 from hrljax.core import checks
 from hrljax.core.environment import (
@@ -112,7 +111,7 @@ def _works(method: Callable[[Words], object], count: int) -> bool:
 
 
 def _state(where: str, state: State) -> State:
-    def converted(path: KeyPath, leaf: object) -> Array:
+    def converted(path: tuple[Any, ...], leaf: object) -> Array:
         if isinstance(leaf, jax.Array) and not leaf.weak_type:
             return leaf
         field = jax.tree_util.keystr(path).lstrip(".")

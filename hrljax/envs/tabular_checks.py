@@ -3,13 +3,12 @@
 from collections import Counter
 from collections.abc import Hashable, Mapping
 from functools import partial
-from typing import Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.tree_util import KeyPath
 
 from hrljax.core import contract
 from hrljax.core.environment import EpisodeState, Numbers, State, Words
@@ -178,7 +177,7 @@ def _look_at(
     return next_number, reward, flags, _alike(after, contract.decode(env, next_number)), jnp.stack(same).all()
 
 
-def _is_time(path: KeyPath) -> bool:
+def _is_time(path: tuple[Any, ...]) -> bool:
     return jax.tree_util.keystr(path) in (".time", "['time']")
 
 

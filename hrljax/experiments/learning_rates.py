@@ -14,7 +14,7 @@ from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
 from hrljax.experiments.rows import interval_row
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
@@ -42,7 +42,7 @@ class Domain:
     def params(self) -> Any:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
-    def learners(self) -> dict[str, Learner]:
+    def learners(self) -> dict[str, AnyLearner]:
         """Flat and hierarchical learners; roots learn as any subtask. MAXQ's values of a subtask start at 0."""
         hierarchy, initial = self.env.hierarchy(), self.initial_value
         return {

@@ -40,7 +40,7 @@ def settings(more_nodes: Iterable[int]) -> Iterator[dict[str, Any]]:
 
 def rows(
     of: Iterable[dict[str, Any]], stops: tuple[float, ...] = STOPS, cores: int | None = None
-) -> Iterator[list[dict]]:
+) -> Iterator[list[dict[str, Any]]]:
     """For every setting a game for every reward at which a search stops; there is no randomness in it.
 
     After an interrupt only games that were finished.
@@ -71,7 +71,7 @@ def table_head() -> str:
     return f"{'priority':12} {'answer':7} {'nodes':>6} {'counted':10} {'stop':>5}  {'distance':>8} {'steps':>6}"
 
 
-def table_line(row: dict) -> str:
+def table_line(row: dict[str, Any]) -> str:
     stop = "-" if row["stop_reward"] is None else f"{row['stop_reward']:g}"
     return (
         f"{row['priority']:12} {row['answer']:7} {row['max_nodes']:6} {row['count']:10} {stop:>5}  "

@@ -18,7 +18,7 @@ from hrljax.experiments.rows import interval_row
 from hrljax.hierarchy import drawing
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover
 from hrljax.hierarchy.tables import tabulate
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.learners.dyna import DynaQ
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hamq import HAMQ
@@ -47,14 +47,14 @@ class Domain:
     max_steps: int
     episodes: int
     pseudo_reward: float
-    learners: dict[str, Learner]
+    learners: dict[str, AnyLearner]
 
     @property
     def params(self) -> Any:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
 
-def _neighbours(env: AnyTabularEnvironment, maxq: float, hordq: float, **numbers: Any) -> dict[str, Learner]:
+def _neighbours(env: AnyTabularEnvironment, maxq: float, hordq: float, **numbers: Any) -> dict[str, AnyLearner]:
     """HORDQ and the methods around it, with the same numbers and a root that learns."""
     hierarchy = env.hierarchy()
     complete = total_leaf_cover(hierarchy, active=tabulate(hierarchy, env).active).hierarchy

@@ -10,7 +10,7 @@ from jax.core import Tracer
 
 from hrljax.core import checks
 from hrljax.envs.base import concrete_params
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 
 Axes: TypeAlias = "dict[str, list[float]]"
 """By the name of a hyper-parameter: its values."""
@@ -39,7 +39,7 @@ def of_env(values: Mapping[str, Value]) -> dict[str, Value]:
     return {name.removeprefix(_OF_ENV): value for name, value in values.items() if is_of_env(name)}
 
 
-def checked_axes(learner: Learner, params: Any, axes: Mapping[str, Sequence[float]] | None) -> Axes:
+def checked_axes(learner: AnyLearner, params: Any, axes: Mapping[str, Sequence[float]] | None) -> Axes:
     """The axes as lists of floats, each value checked as the hyper-parameter would be.
 
     Args:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from hrljax.engine.start import LEARNED, Start, Startable, checked_start, learned_shapes, step_words, tree_of
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.fingerprint import differences
 from hrljax.sweeps.schema import Grid
 
@@ -43,7 +43,7 @@ def episodes_of(dataset: xr.Dataset) -> int:
     return int(dataset.attrs.get(_EPISODES_BEFORE, 0)) + int(dataset.attrs["num_episodes"])
 
 
-def continuation(start: Any, env: Any, learner: Learner, grid: Grid, num_episodes: int) -> Continuation:
+def continuation(start: Any, env: Any, learner: AnyLearner, grid: Grid, num_episodes: int) -> Continuation:
     """Where the runs of a sweep start, for `start` as of `hrljax.sweep`.
 
     Raises:
@@ -71,7 +71,7 @@ def continuation(start: Any, env: Any, learner: Learner, grid: Grid, num_episode
     return Continuation(first.episodes, rows)
 
 
-def check_origin(what: str, dataset: xr.Dataset, env: Any, learner: Learner) -> None:
+def check_origin(what: str, dataset: xr.Dataset, env: Any, learner: AnyLearner) -> None:
     """Raises ValueError for the dataset of another learner or environment; messages call it `what`."""
     names = {"environment": env.name, "learner": learner.name}
     wrong = differences({name: dataset.attrs.get(name) for name in names}, names)

@@ -15,7 +15,7 @@ from jax import Array
 from hrljax.core import checks, interrupts
 from hrljax.engine import batch
 from hrljax.engine.start import learned_shapes
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.job import Job
 from hrljax.sweeps.request import SweepRequest
 
@@ -53,7 +53,7 @@ class Estimate:
 
 def estimate(
     env: Any,
-    learner: Learner,
+    learner: AnyLearner,
     *,
     seeds: int,
     num_episodes: int,

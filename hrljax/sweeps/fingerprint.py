@@ -12,7 +12,7 @@ from jax import Array
 
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import parts_of_states, tabulate
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.learners.hyperparameters import Tabulated, with_tabulated_schedules
 from hrljax.learners.options.definition import Options
 from hrljax.sweeps import versions
@@ -22,7 +22,7 @@ SWEPT = "swept"
 """Value of the attribute of a hyper-parameter that has an axis of its own."""
 
 
-def attributes(env: Any, learner: Learner, params: Any, key: Array, swept: Mapping[str, Any]) -> dict[str, Any]:
+def attributes(env: Any, learner: AnyLearner, params: Any, key: Array, swept: Mapping[str, Any]) -> dict[str, Any]:
     """Every setting of a sweep by name, as text or numbers."""
     settings = {_learner_name(name): as_attribute(value) for name, value in learner.settings().items()}
     settings |= {env_name(name): as_attribute(value) for name, value in params._asdict().items()}
@@ -55,7 +55,7 @@ def as_attribute(value: Any) -> str | int | float:
     return value if isinstance(value, str | int | float) else repr(value)
 
 
-def digests(env: Any, learner: Learner, num_episodes: int) -> dict[str, str]:
+def digests(env: Any, learner: AnyLearner, num_episodes: int) -> dict[str, str]:
     """By name, digests of the hierarchies, options and schedules of a learner: of what they do, not of their code.
 
     Raises:

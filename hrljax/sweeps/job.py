@@ -18,7 +18,7 @@ from hrljax.engine import batch
 from hrljax.engine.start import Start, named_leaves, steps_of
 from hrljax.engine.train import run as run_once
 from hrljax.envs.base import AnyEnvironment
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.axes import of_env, of_learner
 
 STEPS = "steps"
@@ -62,7 +62,7 @@ class Job:
     """Runs that differ in their keys and in the values along the axes; see `hrljax.train`."""
 
     env: AnyEnvironment
-    learner: Learner
+    learner: AnyLearner
     params: Any
     num_episodes: int
     bin_size: int

@@ -14,7 +14,7 @@ from hrljax.core import checks
 from hrljax.engine.start import Start, described, learned_shapes, named_leaves, step_words, tree_of
 from hrljax.envs.base import AnyEnvironment, Environment
 from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
-from hrljax.learners.base import Learner, outside_of_training
+from hrljax.learners.base import AnyLearner, Learner, outside_of_training
 from hrljax.sweeps import learned_file
 from hrljax.sweeps.axes import of_learner
 from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables
@@ -37,7 +37,7 @@ class Learned:
         steps: primitive steps of these episodes.
     """
 
-    def __init__(self, env: AnyEnvironment, learner: Learner, tables: Any, *, episodes: int = 0, steps: int = 0):
+    def __init__(self, env: AnyEnvironment, learner: AnyLearner, tables: Any, *, episodes: int = 0, steps: int = 0):
         """
         Raises:
             TypeError: an argument is of the wrong kind.
@@ -59,7 +59,7 @@ class Learned:
 
     @classmethod
     def of(
-        cls, dataset: xr.Dataset, env: Any, learner: Learner, *, seed: int = 0, at: Mapping[str, float] | None = None
+        cls, dataset: xr.Dataset, env: Any, learner: AnyLearner, *, seed: int = 0, at: Mapping[str, float] | None = None
     ) -> Learned:
         """One run out of a sweep.
 
@@ -126,7 +126,7 @@ class Learned:
         learned_file.write(path, self.env, self.learner, tables, self.episodes, self.steps)
 
     @classmethod
-    def load(cls, path: str | Path, env: AnyEnvironment | None = None, learner: Learner | None = None) -> Learned:
+    def load(cls, path: str | Path, env: AnyEnvironment | None = None, learner: AnyLearner | None = None) -> Learned:
         """Reads a file that `save` wrote.
 
         Args:
@@ -176,7 +176,7 @@ class StatePolicy:
     It decides in every state anew: a root that follows a sequence of actions searches in every step.
     """
 
-    def __init__(self, env: AnyEnvironment, learner: Learner, tables: Any):
+    def __init__(self, env: AnyEnvironment, learner: AnyLearner, tables: Any):
         """
         Raises:
             ValueError: the learner has a schedule.

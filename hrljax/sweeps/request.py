@@ -22,7 +22,7 @@ from hrljax.engine.start import Startable
 from hrljax.engine.train import check_arguments
 from hrljax.envs.base import AnyEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.sweeps import fingerprint
 from hrljax.sweeps.axes import checked_axes, of_env
 from hrljax.sweeps.continuation import Continuation, continuation
@@ -53,7 +53,7 @@ class SweepRequest:
     def checked(
         cls,
         env: AnyEnvironment,
-        learner: Learner,
+        learner: AnyLearner,
         *,
         seeds: int,
         num_episodes: int,

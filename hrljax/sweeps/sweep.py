@@ -16,7 +16,7 @@ from hrljax.core.progress import ticking
 from hrljax.engine import batch
 from hrljax.engine.start import Startable
 from hrljax.envs.base import AnyEnvironment
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.request import SweepRequest
 from hrljax.sweeps.schema import dataset
 from hrljax.sweeps.store import Store
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def sweep(
     env: AnyEnvironment,
-    learner: Learner,
+    learner: AnyLearner,
     *,
     seeds: int,
     num_episodes: int,

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import hrljax
 from hrljax.hierarchy.definition import Hierarchy, Subtask
+from hrljax.sweeps import job
 
 TAXI = hrljax.make("Taxi", stochastic=True)
 GRID = hrljax.make("Gridworld", map="S....P\n.S.#..\n..S...\nP....G\n")
@@ -18,7 +20,7 @@ def over_actions(name: str, children: tuple[str, ...] = GRID.action_names) -> Su
     return Subtask(name, children, lambda state: jnp.bool_(False))
 
 
-def test_a_seed_has_one_result_under_every_mapping_and_a_second_sweep_compiles_nothing():
+def test_a_seed_has_one_result_under_every_mapping_and_a_second_sweep_traces_nothing(monkeypatch: pytest.MonkeyPatch):
     def swept(mapping: str, **options: Any) -> Any:
         learner = hrljax.HORDQ(TAXI.hierarchy(), pseudo_reward=4.0, discount=0.95, epsilon=0.4)
         settings = {"seeds": 3, "num_episodes": 5, "bin_size": 1, "chunk_size": 2, **options}
@@ -31,19 +33,10 @@ def test_a_seed_has_one_result_under_every_mapping_and_a_second_sweep_compiles_n
             **settings,
         )
 
-    compilations: list[str] = []
-
-    def listen(event: str, duration: float, **_: Any) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            compilations.append(event)
-
-    native = swept("native")
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
-        again = swept("native")
-        assert not compilations
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
+    with monkeypatch.context() as patch:
+        chex.clear_trace_counter()
+        patch.setattr(job, "run_once", chex.assert_max_traces(job.run_once, n=1))
+        native, again = swept("native"), swept("native")
     assert native["illegal"].values.max() > 2
     for other in (again, swept("vmap")):
         for variable in native:
