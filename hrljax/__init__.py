@@ -16,6 +16,7 @@ from hrljax.envs.check import check  # noqa: E402
 from hrljax.envs.registry import make, register, registered  # noqa: E402
 from hrljax.hierarchy.definition import Abstraction, Hierarchy, Subtask  # noqa: E402
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover  # noqa: E402
+from hrljax.hierarchy.tables import tabulate  # noqa: E402
 from hrljax.learners.dyna import DynaQ  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
@@ -82,6 +83,7 @@ __all__ = [
     "solvers",
     "stats",
     "sweep",
+    "tabulate",
     "total_leaf_cover",
     "train",
 ]

@@ -1,0 +1,6 @@
+"""What an environment of one's own is made of; docs/own_environment.md shows how."""
+
+from hrljax.core.random import below
+from hrljax.envs.base import Environment, TabularEnvironment
+
+__all__ = ["Environment", "TabularEnvironment", "below"]
