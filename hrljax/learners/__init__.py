@@ -5,7 +5,7 @@ from hrljax.core.random import below
 from hrljax.learners.base import Context, Learner, LearnerState, Reported, Transition
 from hrljax.learners.execution import StackLearner
 from hrljax.learners.flat import ActionValueLearner, StepSizeLearner, row_of
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, report_option
 from hrljax.learners.roots.base import Decision, Root, SubtaskRoot
 from hrljax.learners.updates import Move, moved, td_target
 
@@ -31,6 +31,7 @@ __all__ = [
     "moved",
     "nth_allowed",
     "pick",
+    "report_option",
     "row_of",
     "td_target",
 ]

@@ -1,6 +1,6 @@
 """Flat tabular learners: one table of action values, one step of lookahead."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from hrljax.core.numerics import take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
 from hrljax.learners.base import Context, Learner, LearnerState, Reported, Transition, Words
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, report_option
 from hrljax.learners.updates import Move, moved, td_target
 
 
@@ -79,7 +79,7 @@ class _OneStep(StepSizeLearner):
     The tables are the action values, the control is the next action.
     """
 
-    report_td_error: bool = field(default=False, kw_only=True)
+    report_td_error: bool = report_option()
 
     _on_policy = False
 

@@ -30,6 +30,14 @@ def hyperparameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def report_option() -> Any:
+    """A keyword-only dataclass field, False at first, that adds a column to results and changes nothing else.
+
+    It is no setting while it is off, so that stores from before it existed still continue.
+    """
+    return dataclasses.field(default=False, kw_only=True, metadata={"only_reports": True})
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """A frozen dataclass of hyper-parameters (numbers, may be swept) and static options.
@@ -66,10 +74,12 @@ class Settings:
         return dataclasses.replace(self, **changed)
 
     def settings(self) -> dict[str, Any]:
-        """Every field by name, nested ones with a dot."""
+        """Every field by name, nested ones with a dot; of report options those that are on."""
         by_name: dict[str, Any] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
+            if field.metadata.get("only_reports") and not value:
+                continue
             if isinstance(value, Settings):
                 by_name[field.name] = type(value).__name__
                 by_name |= {f"{field.name}.{name}": inner for name, inner in value.settings().items()}

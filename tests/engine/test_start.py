@@ -146,7 +146,7 @@ def test_starts_that_do_not_fit_are_refused_before_anything_is_compiled(halves: 
         start(start=3)
     with pytest.raises(TypeError, match=r"start must be what .* or a .*Learned, got 3"):
         hrl.train(SMALL, flat, KEY, 5, start=3)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"start must be what .* or a .*Learned, got <class 'hrljax.engine.train.Run'>"):
+    with pytest.raises(TypeError, match=r"start must be what .* or a .*Learned, got <class 'hrljax.engine.run.Run'>"):
         hrl.train(SMALL, flat, KEY, 5, start=hrl.Run)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no tables; sweep with keep_learned=True"):
         start(start=first[["return", "steps"]])

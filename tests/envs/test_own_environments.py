@@ -240,7 +240,7 @@ def nothing_compiles(monkeypatch: pytest.MonkeyPatch):
         raise AssertionError("training was compiled")
 
     monkeypatch.setattr(job.Job, "compiled", refuse)
-    monkeypatch.setattr(import_module("hrljax.engine.train"), "_Trainer", refuse)
+    monkeypatch.setattr(import_module("hrljax.engine.train"), "Trainer", refuse)
 
 
 def ways_to_fail(env: Any) -> dict[str, Callable[[], Any]]:
