@@ -55,6 +55,7 @@ def hordq_target(reward: Array, gamma: Discounted, exited: Array, pseudo_reward:
         q_next: of a' in i where it goes on, else in i'; 0 if the episode terminated.
     """
     chex.assert_rank([reward, exited, pseudo_reward, *q_next], 0)
+    chex.assert_type([reward, exited, pseudo_reward, *q_next], [float, bool, *[float] * 5])
     r, c, e, p = q_next
     none = jnp.zeros_like(reward)
     return Q(
@@ -119,9 +120,8 @@ class _Decomposed(StackLearner[Q]):
             state, slot, discount = stack.pending[level]
             # Q_r of a subtask is read from its own values.
             reward = lax.select(stack.tasks[level + 1] < 0, transition.reward, jnp.float32(0))
-        pseudo_reward = at_episode(self.pseudo_reward, context.episode) * layout.goal_factor(
-            task, transition.next_state
-        )
+        goal_factor = layout.goal_factor(task, transition.next_state)
+        pseudo_reward = at_episode(self.pseudo_reward, context.episode) * goal_factor
         gamma, exited = context.discounted(discount), jnp.asarray(end.exited)
         target = jnp.stack(self.target(reward, gamma, exited, pseudo_reward, q_next))
         return Move(layout.start_of_child(task, state, slot, self._size), target, both(end.used, end.child))

@@ -18,7 +18,7 @@ from hrljax.learners.base import Context, Discounted
 
 
 def td_target(reward: Array, gamma: Discounted, q_next: Array) -> Array:
-    """What a value is moved to after a step: ``Q(s, a) <- r + g Q(s', a')`` (thesis eq. 2.14 and 2.15).
+    """What a value is moved to after a step: ``Q(s, a) <- r + g Q(s', a')`` (thesis 2.3.1).
 
     Args:
         reward: float32 scalar.
@@ -26,6 +26,7 @@ def td_target(reward: Array, gamma: Discounted, q_next: Array) -> Array:
         q_next: of Q-learning the greatest value in s', of SARSA the next action's; any shape.
     """
     chex.assert_rank(reward, 0)
+    chex.assert_type([reward, q_next], float)
     return reward + gamma(q_next)
 
 
