@@ -14,11 +14,12 @@ import numpy as np
 from jax import Array
 
 from hrljax.core import forks, interrupts
+from hrljax.core.environment import Numbers
 from hrljax.engine import batch
 from hrljax.engine.start import Start, named_leaves, steps_of
 from hrljax.engine.train import run as run_once
 from hrljax.envs.base import AnyEnvironment
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.axes import of_env, of_learner
 
 STEPS = "steps"
@@ -26,14 +27,16 @@ STEPS = "steps"
 EPISODE, CHECKPOINT = "episode", "checkpoint"
 """Dimensions: bins of episodes, and exact evaluations."""
 Leaf = TypeVar("Leaf")
+Column: TypeAlias = Any
+"""A tree of NumPy arrays, of traced ones, or of their shapes."""
 
 
 class Rows(TypedDict):
     """What tells runs apart, as arrays; one of the rows is a run."""
 
-    key: Any  # [rows, 2] uint32: the words of each run's key
-    axes: dict[str, Any]  # for each swept hyper-parameter its values, [rows] float32
-    start: NotRequired[dict[str, Any]]  # where runs go on: `hrljax.engine.start.Start` but the episodes, [rows, ...]
+    key: Column  # [rows, 2] uint32: the words of each run's key
+    axes: dict[str, Column]  # for each swept hyper-parameter its values, [rows] float32
+    start: NotRequired[dict[str, Column]]  # where runs go on: `hrljax.engine.start.Start` but the episodes, [rows, ...]
 
 
 class Place(NamedTuple):
@@ -62,8 +65,8 @@ class Job:
     """Runs that differ in their keys and in the values along the axes; see `hrljax.train`."""
 
     env: AnyEnvironment
-    learner: Learner
-    params: Any
+    learner: AnyLearner
+    params: Numbers
     num_episodes: int
     bin_size: int
     evaluate_every: int | None
