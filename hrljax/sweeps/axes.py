@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from jax.core import Tracer
 
 from hrljax.core import checks
+from hrljax.core.environment import Numbers
 from hrljax.envs.base import concrete_params
 from hrljax.learners.base import AnyLearner
 
@@ -39,7 +40,7 @@ def of_env(values: Mapping[str, Value]) -> dict[str, Value]:
     return {name.removeprefix(_OF_ENV): value for name, value in values.items() if is_of_env(name)}
 
 
-def checked_axes(learner: AnyLearner, params: Any, axes: Mapping[str, Sequence[float]] | None) -> Axes:
+def checked_axes(learner: AnyLearner, params: Numbers, axes: Mapping[str, Sequence[float]] | None) -> Axes:
     """The axes as lists of floats, each value checked as the hyper-parameter would be.
 
     Args:
@@ -52,7 +53,7 @@ def checked_axes(learner: AnyLearner, params: Any, axes: Mapping[str, Sequence[f
     """
     axes = checks.instance("axes", {} if axes is None else axes, Mapping, "a mapping such as {'step_size': [0.1, 0.2]}")
     names_of_learner = learner.sweepable()
-    names_of_env = [env_name(field) for field in params._fields if field != "max_steps"]
+    names_of_env = [env_name(field) for field in params._asdict() if field != "max_steps"]
     checked: Axes = {}
     for name, values in axes.items():
         if name not in names_of_learner and name not in names_of_env:

@@ -9,7 +9,7 @@ import hashlib
 import json
 import struct
 import zlib
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def encode(values: np.ndarray, label: Label) -> bytes:
     return _before_field(len(field)) + field + body
 
 
-def decode(content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
+def decode(content: bytes, dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> np.ndarray:
     """The values of a whole chunk, ``[*shape]``; `label_of` has to have read its label.
 
     Raises:

@@ -2,7 +2,7 @@
 
 import itertools
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -164,7 +164,7 @@ class ChunksOfFirstVersion(Chunks):
     def _key(self, name: str, chunk: range) -> str:
         return self.file(name, chunk).relative_to(self.path).as_posix()
 
-    def _selection(self, chunk: range) -> tuple[Any, ...]:
+    def _selection(self, chunk: range) -> tuple[slice, ...]:
         *point, seed = (int(i) for i in np.unravel_index(chunk.start, self.schema.grid.shape))
         return (*(slice(i, i + 1) for i in point), slice(seed, seed + len(chunk)))
 

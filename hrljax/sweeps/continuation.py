@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+import chex
 import jax
 import numpy as np
 
 from hrljax.engine.start import LEARNED, Start, Startable, checked_start, learned_shapes, step_words, tree_of
+from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.fingerprint import differences
 from hrljax.sweeps.schema import Grid
+from hrljax.sweeps.versions import Attributes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,9 +26,9 @@ class Continuation(NamedTuple):
     """Where the runs of a sweep start."""
 
     episodes: int  # that all of them have learned from
-    rows: dict[str, Any]  # the other fields of `hrljax.engine.start.Start`, NumPy arrays ``[runs, ...]``
+    rows: dict[str, chex.ArrayTree]  # the other fields of `hrljax.engine.start.Start`, NumPy arrays ``[runs, ...]``
 
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> Attributes:
         """Of the dataset."""
         return {_EPISODES_BEFORE: self.episodes}
 
@@ -43,7 +46,9 @@ def episodes_of(dataset: xr.Dataset) -> int:
     return int(dataset.attrs.get(_EPISODES_BEFORE, 0)) + int(dataset.attrs["num_episodes"])
 
 
-def continuation(start: Any, env: Any, learner: AnyLearner, grid: Grid, num_episodes: int) -> Continuation:
+def continuation(
+    start: object, env: AnyEnvironment, learner: AnyLearner, grid: Grid, num_episodes: int
+) -> Continuation:
     """Where the runs of a sweep start, for `start` as of `hrljax.sweep`.
 
     Raises:
@@ -71,7 +76,7 @@ def continuation(start: Any, env: Any, learner: AnyLearner, grid: Grid, num_epis
     return Continuation(first.episodes, rows)
 
 
-def check_origin(what: str, dataset: xr.Dataset, env: Any, learner: AnyLearner) -> None:
+def check_origin(what: str, dataset: xr.Dataset, env: AnyEnvironment, learner: AnyLearner) -> None:
     """Raises ValueError for the dataset of another learner or environment; messages call it `what`."""
     names = {"environment": env.name, "learner": learner.name}
     wrong = differences({name: dataset.attrs.get(name) for name in names}, names)

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import json
 import warnings
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hrljax.sweeps.chunk_file import COMPRESSION
 from hrljax.sweeps.schema import SEED, Schema, describe
+from hrljax.sweeps.versions import Attributes
+
+if TYPE_CHECKING:
+    from zarr import Array as ZarrArray
+    from zarr import Group
+    from zarr.codecs import GzipCodec
+    from zarr.core.buffer import Buffer
 
 FIRST_VERSION, NEWEST_VERSION = 1, 2
 """Of the format: labels of chunks came with the second."""
@@ -22,15 +29,15 @@ _SEEDS_OF_A_FILE = 1024
 class Description(NamedTuple):
     """A store without chunks, in memory."""
 
-    content: dict[str, Any]  # by place, what Zarr keeps bytes in
-    arrays: dict[str, Any]  # the variables
+    content: dict[str, Buffer]  # by place, what Zarr keeps bytes in
+    arrays: dict[str, ZarrArray]  # the variables
 
     @property
-    def buffer(self) -> Any:
+    def buffer(self) -> type[Buffer]:
         """What Zarr keeps bytes in."""
         return type(self.content[ROOT])
 
-    def files(self, attributes: dict[str, Any]) -> dict[str, bytes]:
+    def files(self, attributes: Attributes) -> dict[str, bytes]:
         """Every file by its place, the root first, with these attributes."""
         root = json.loads(self.content[ROOT].to_bytes())
         members = root["consolidated_metadata"]["metadata"]  # some Zarrs list them as they happen to come
@@ -53,8 +60,8 @@ def describe_store(schema: Schema, chunk_size: int, version: int, seeds_of_a_fil
     from zarr.storage import MemoryStore
 
     of_chunks = None if version == FIRST_VERSION else [GzipCodec(level=COMPRESSION)]
-    content: dict[str, Any] = {}
-    arrays: dict[str, Any] = {}
+    content: dict[str, Buffer] = {}
+    arrays: dict[str, ZarrArray] = {}
     store = MemoryStore(store_dict=content)
     group = zarr.create_group(store=store)
     for name, variable in schema.variables.items():
@@ -77,15 +84,15 @@ def describe_store(schema: Schema, chunk_size: int, version: int, seeds_of_a_fil
 
 
 def _array(
-    group: Any,
+    group: Group,
     name: str,
     shape: tuple[int, ...],
     chunks: tuple[int, ...],
     dims: tuple[str, ...],
-    fill_value: Any,
+    fill_value: np.generic,
     attributes: dict[str, str],
-    compressors: list[Any] | None = None,
-) -> Any:
+    compressors: list[GzipCodec] | None = None,
+) -> ZarrArray:
     """A new Zarr array; all that decides on its bytes is said here, whatever Zarr's defaults are.
 
     What Zarr itself writes is not gzip, which it gives the time of the day.
@@ -103,6 +110,6 @@ def _array(
         compressors=compressors or [ZstdCodec(level=3), Crc32cCodec()],
         chunk_key_encoding={"name": "default", "separator": "/"},
         dimension_names=dims,
-        attributes=attributes,
+        attributes={**attributes},
         config={"write_empty_chunks": True},
     )

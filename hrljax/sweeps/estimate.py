@@ -6,15 +6,16 @@ import dataclasses
 import statistics
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import numpy as np
 from jax import Array
 
 from hrljax.core import checks, interrupts
+from hrljax.core.environment import Numbers
 from hrljax.engine import batch
 from hrljax.engine.start import learned_shapes
+from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.job import Job
 from hrljax.sweeps.request import SweepRequest
@@ -52,14 +53,14 @@ class Estimate:
 
 
 def estimate(
-    env: Any,
+    env: AnyEnvironment,
     learner: AnyLearner,
     *,
     seeds: int,
     num_episodes: int,
     axes: Mapping[str, Sequence[float]] | None = None,
     key: Array | int = 0,
-    params: Any = None,
+    params: Numbers | None = None,
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     keep_learned: bool = False,

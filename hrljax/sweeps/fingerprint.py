@@ -3,13 +3,14 @@
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
 
 import jax
 import numpy as np
 from jax import Array
 
+from hrljax.core.environment import Numbers
+from hrljax.envs.base import AnyEnvironment, TabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import parts_of_states, tabulate
 from hrljax.learners.base import AnyLearner
@@ -22,7 +23,9 @@ SWEPT = "swept"
 """Value of the attribute of a hyper-parameter that has an axis of its own."""
 
 
-def attributes(env: Any, learner: AnyLearner, params: Any, key: Array, swept: Mapping[str, Any]) -> dict[str, Any]:
+def attributes(
+    env: AnyEnvironment, learner: AnyLearner, params: Numbers, key: Array, swept: Iterable[str]
+) -> versions.Attributes:
     """Every setting of a sweep by name, as text or numbers."""
     settings = {_learner_name(name): as_attribute(value) for name, value in learner.settings().items()}
     settings |= {env_name(name): as_attribute(value) for name, value in params._asdict().items()}
@@ -41,12 +44,12 @@ def _learner_name(setting: str) -> str:
     return f"learner.{setting}"
 
 
-def options(env: Any) -> dict[str, Any]:
+def options(env: AnyEnvironment) -> dict[str, object]:
     """The options that an environment was made with."""
-    return {field.name: getattr(env, field.name) for field in dataclasses.fields(env)}
+    return {field.name: getattr(env, field.name) for field in dataclasses.fields(env)}  # type: ignore[arg-type]
 
 
-def as_attribute(value: Any) -> str | int | float:
+def as_attribute(value: object) -> str | int | float:
     """A setting as what files can hold; equal in every process."""
     if isinstance(value, np.floating):
         return float(str(value))
@@ -55,7 +58,7 @@ def as_attribute(value: Any) -> str | int | float:
     return value if isinstance(value, str | int | float) else repr(value)
 
 
-def digests(env: Any, learner: AnyLearner, num_episodes: int) -> dict[str, str]:
+def digests(env: AnyEnvironment, learner: AnyLearner, num_episodes: int) -> dict[str, str]:
     """By name, digests of the hierarchies, options and schedules of a learner: of what they do, not of their code.
 
     Raises:
@@ -72,8 +75,9 @@ def digests(env: Any, learner: AnyLearner, num_episodes: int) -> dict[str, str]:
     return by_name
 
 
-def hierarchy_digest(env: Any, hierarchy: Hierarchy) -> str:
+def hierarchy_digest(env: AnyEnvironment, hierarchy: Hierarchy) -> str:
     """A digest of a hierarchy's graph and of its predicates at every state of an environment."""
+    assert isinstance(env, TabularEnvironment)  # as every learner over a hierarchy needs
     tables = tabulate(hierarchy, env)
     parts = [tables.active, tables.goal]
     for task in hierarchy.subtasks:
@@ -94,7 +98,7 @@ def _digest(arrays: list[np.ndarray]) -> str:
     return digest.hexdigest()[:32]
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+def differences(before: Mapping[str, object], now: Mapping[str, object]) -> list[str]:
     """What differs between two sets of settings, as text that names both values: those of before, and the ones now."""
     return [
         f"{name} is {before.get(name, 'absent')!r} there and {now.get(name, 'absent')!r} here"

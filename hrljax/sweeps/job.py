@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 
 from hrljax.core import forks, interrupts
+from hrljax.core.environment import Numbers
 from hrljax.engine import batch
 from hrljax.engine.start import Start, named_leaves, steps_of
 from hrljax.engine.train import run as run_once
@@ -26,14 +27,16 @@ STEPS = "steps"
 EPISODE, CHECKPOINT = "episode", "checkpoint"
 """Dimensions: bins of episodes, and exact evaluations."""
 Leaf = TypeVar("Leaf")
+Column: TypeAlias = Any
+"""A tree of NumPy arrays, of traced ones, or of their shapes."""
 
 
 class Rows(TypedDict):
     """What tells runs apart, as arrays; one of the rows is a run."""
 
-    key: Any  # [rows, 2] uint32: the words of each run's key
-    axes: dict[str, Any]  # for each swept hyper-parameter its values, [rows] float32
-    start: NotRequired[dict[str, Any]]  # where runs go on: `hrljax.engine.start.Start` but the episodes, [rows, ...]
+    key: Column  # [rows, 2] uint32: the words of each run's key
+    axes: dict[str, Column]  # for each swept hyper-parameter its values, [rows] float32
+    start: NotRequired[dict[str, Column]]  # where runs go on: `hrljax.engine.start.Start` but the episodes, [rows, ...]
 
 
 class Place(NamedTuple):
@@ -63,7 +66,7 @@ class Job:
 
     env: AnyEnvironment
     learner: AnyLearner
-    params: Any
+    params: Numbers
     num_episodes: int
     bin_size: int
     evaluate_every: int | None

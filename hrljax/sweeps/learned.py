@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hrljax.core import checks
+from hrljax.core.environment import EpisodeState
 from hrljax.engine.start import Start, described, learned_shapes, named_leaves, step_words, tree_of
 from hrljax.envs.base import AnyEnvironment, Environment
 from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
@@ -37,7 +39,9 @@ class Learned:
         steps: primitive steps of these episodes.
     """
 
-    def __init__(self, env: AnyEnvironment, learner: AnyLearner, tables: Any, *, episodes: int = 0, steps: int = 0):
+    def __init__(
+        self, env: AnyEnvironment, learner: AnyLearner, tables: chex.ArrayTree, *, episodes: int = 0, steps: int = 0
+    ):
         """
         Raises:
             TypeError: an argument is of the wrong kind.
@@ -59,7 +63,13 @@ class Learned:
 
     @classmethod
     def of(
-        cls, dataset: xr.Dataset, env: Any, learner: AnyLearner, *, seed: int = 0, at: Mapping[str, float] | None = None
+        cls,
+        dataset: xr.Dataset,
+        env: AnyEnvironment,
+        learner: AnyLearner,
+        *,
+        seed: int = 0,
+        at: Mapping[str, float] | None = None,
     ) -> Learned:
         """One run out of a sweep.
 
@@ -159,7 +169,7 @@ def _check_dataset(dataset: object) -> None:
         raise ValueError(f"dataset must have the variable 'steps', as hrljax.sweep gives it; it has {variables}")
 
 
-def _on_grid(name: str, value: Any, dataset: xr.Dataset, axis: str = "seed") -> Any:
+def _on_grid(name: str, value: float, dataset: xr.Dataset, axis: str = "seed") -> float:
     """The value, if it is one of those along an axis of a dataset."""
     grid = dataset[axis].values
     value = checks.integer(name, value, -checks.LARGEST_INTEGER) if axis == "seed" else checks.number(name, value)
@@ -176,7 +186,7 @@ class StatePolicy:
     It decides in every state anew: a root that follows a sequence of actions searches in every step.
     """
 
-    def __init__(self, env: AnyEnvironment, learner: AnyLearner, tables: Any):
+    def __init__(self, env: AnyEnvironment, learner: AnyLearner, tables: chex.ArrayTree):
         """
         Raises:
             ValueError: the learner has a schedule.
@@ -188,7 +198,7 @@ class StatePolicy:
         prepared, words = greedy.prepare(env), (jnp.uint32(0),) * greedy.num_begin_words
         context = outside_of_training(jnp.uint32(0))
 
-        def choose(tables: Any, state: Any) -> Any:
+        def choose(tables: chex.ArrayTree, state: EpisodeState) -> jax.Array:
             return greedy.action(greedy.begin(prepared, tables, state, words, context))
 
         self._tables, self._choose = tables, jax.jit(choose)
@@ -196,6 +206,6 @@ class StatePolicy:
     def reset(self) -> None:
         """Begins an episode; there is nothing to forget."""
 
-    def __call__(self, state: Any) -> int:
+    def __call__(self, state: EpisodeState) -> int:
         """The action (its number) in a state of the environment."""
         return int(self._choose(self._tables, state))

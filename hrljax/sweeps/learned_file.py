@@ -4,7 +4,6 @@ import dataclasses
 import io
 import json
 import zipfile
-from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -20,9 +19,10 @@ from hrljax.learners.hyperparameters import Settings
 from hrljax.learners.options.definition import Options
 from hrljax.sweeps.axes import env_name
 from hrljax.sweeps.fingerprint import as_attribute, differences, hierarchy_digest, options, options_digest
+from hrljax.sweeps.versions import Attributes
 
-Header: TypeAlias = dict[str, Any]
-"""What JSON can hold: which environment and learner, their settings, names of the tables, episodes and steps."""
+Header: TypeAlias = Attributes
+"""Which environment and learner, their settings, names of the tables, episodes and steps."""
 Tables: TypeAlias = dict[str, np.ndarray]
 """The leaves of a learner's tables by name."""
 Kind = TypeVar("Kind", bound=Settings)
@@ -98,7 +98,7 @@ def owners(
 
 def _settings(env: AnyEnvironment, learner: AnyLearner) -> Header:
     """What tables belong to, as JSON has it."""
-    settings: dict[str, Any] = {}
+    settings: Attributes = {}
     for name, value in learner.settings().items():
         if isinstance(value, Hierarchy):
             settings[name] = {"hierarchy": hierarchy_digest(env, value)}
@@ -118,19 +118,19 @@ def _settings(env: AnyEnvironment, learner: AnyLearner) -> Header:
     }
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """An environment's option as JSON has it; `_option` is the way back."""
     if isinstance(value, tuple):
         return [_plain(entry) for entry in value]
     return value if value is None or isinstance(value, int | float) else str(value)
 
 
-def _option(value: Any) -> Any:
+def _option(value: object) -> object:
     """An environment's option, from what JSON has."""
     return tuple(_option(entry) for entry in value) if isinstance(value, list) else value
 
 
-def _flat(header: Header) -> dict[str, Any]:
+def _flat(header: Header) -> Attributes:
     """The settings in a header, each by a name of its own."""
     settings = {f"learner.{name}": value for name, value in header["settings"].items()}
     of_env = {env_name(name): value for name, value in header["options"].items()}
@@ -139,7 +139,7 @@ def _flat(header: Header) -> dict[str, Any]:
 
 def _learner(env: AnyEnvironment, header: Header, where: str) -> AnyLearner:
     """The learner that a header describes."""
-    settings: dict[str, Any] = {}
+    settings: Attributes = {}
     for name, value in header["settings"].items():
         for kind, what in (("schedule", f"{name} as a schedule"), ("options", "options")):
             if isinstance(value, dict) and kind in value:
@@ -153,12 +153,12 @@ def _learner(env: AnyEnvironment, header: Header, where: str) -> AnyLearner:
     return _built(Learner, header["learner"], settings, where)
 
 
-def _built(base: type[Kind], name: str, settings: Mapping[str, Any], where: str) -> Kind:
+def _built(base: type[Kind], name: str, settings: Attributes, where: str) -> Kind:
     """An object of the subclass of `base` with a name, from settings as `Settings.settings` gives them."""
     classes = {cls.__name__: cls for cls in _subclasses(base)}
     if name not in classes:
         raise ValueError(f"{where} by {name!r}, which is not known; import it or give the learner")
-    arguments: dict[str, Any] = {}
+    arguments: Attributes = {}
     for key, value in settings.items():
         if "." in key or key not in classes[name].__dataclass_fields__:
             continue

@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 from concurrent.futures import ProcessPoolExecutor
-from typing import Any
+from multiprocessing.sharedctypes import Synchronized
 
 from hrljax.core import checks
 from hrljax.engine.batch import usable_cores
@@ -28,7 +28,7 @@ def processes(workers: int | None = None) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, context, initializer=begin_worker, initargs=(cores, number))
 
 
-def begin_worker(cores: list[int], number: Any) -> None:
+def begin_worker(cores: list[int], number: Synchronized) -> None:
     """Pins a new process to the next of some cores; has to run before JAX starts there.
 
     Args:

@@ -7,7 +7,7 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from jax import Array
 from jax.core import Tracer
 
 from hrljax.core import checks, interrupts, random
+from hrljax.core.environment import Numbers
 from hrljax.engine import batch
 from hrljax.engine.run import bin_sizes, default_bin_size
 from hrljax.engine.start import Startable
@@ -28,6 +29,7 @@ from hrljax.sweeps.axes import checked_axes, of_env
 from hrljax.sweeps.continuation import Continuation, continuation
 from hrljax.sweeps.job import CHECKPOINT, EPISODE, Job, Rows
 from hrljax.sweeps.schema import Grid, Schema, variables_of
+from hrljax.sweeps.versions import Attributes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -59,7 +61,7 @@ class SweepRequest:
         num_episodes: int,
         axes: Mapping[str, Sequence[float]] | None,
         key: Array | int,
-        params: Any,
+        params: Numbers | None,
         bin_size: int | None,
         evaluate_every: int | None,
         keep_learned: bool,
@@ -75,22 +77,23 @@ class SweepRequest:
         seeds = checks.integer("seeds", seeds, 1)
         keep_learned = checks.flag("keep_learned", keep_learned)
         is_seed = checks.is_number(key, np.integer)
-        root_key: Any = jax.random.key(checks.integer("key", key, 0, 2**32 - 1)) if is_seed else key
+        root_key = jax.random.key(checks.integer("key", key, 0, 2**32 - 1)) if is_seed else key
         random.check_key(root_key)
-        params = numbers_of(env, params)
-        if any(isinstance(value, Tracer) for value in (root_key, *params, *learner.settings().values())):
+        assert isinstance(root_key, Array)
+        numbers = numbers_of(env, params)
+        if any(isinstance(value, Tracer) for value in (root_key, *numbers, *learner.settings().values())):
             raise TypeError(
                 "a sweep compiles and maps its runs itself, so jax.jit and jax.vmap cannot trace it; map train"
             )
-        grid = Grid(checked_axes(learner, params, axes), seeds)
+        grid = Grid(checked_axes(learner, numbers, axes), seeds)
         if evaluate_every is not None and of_env(grid.axes):
             raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
-        check_before_training(env, params, of_env(grid.axes))
+        check_before_training(env, numbers, of_env(grid.axes))
         bin_size = bin_size or default_bin_size(num_episodes)
         if evaluate_every is not None and evaluate_every > len(bin_sizes(num_episodes, bin_size)):
             raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")
         batch.resolve_mapping(mapping)
-        job = Job(env, learner, params, num_episodes, bin_size, evaluate_every, keep_learned, mapping)
+        job = Job(env, learner, numbers, num_episodes, bin_size, evaluate_every, keep_learned, mapping)
         if start is None:
             return cls(job, grid, root_key, None)
         begin = continuation(start, env, learner, grid, num_episodes)
@@ -140,7 +143,7 @@ class SweepRequest:
         return Schema(self.grid, coordinates, variables_of(self.job.shapes(self.rows, length)))
 
     @property
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> Attributes:
         """Of the dataset: every setting."""
         job = self.job
         return {
@@ -151,7 +154,7 @@ class SweepRequest:
         }
 
     @cached_property
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Attributes:
         """What a store of this sweep has to agree with: the attributes, and digests of what they do not tell."""
         job = self.job
         return {

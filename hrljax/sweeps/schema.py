@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
 
 from hrljax.sweeps.axes import Axes
 from hrljax.sweeps.job import EPISODE, RunValues
+from hrljax.sweeps.versions import Attributes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,7 +29,7 @@ class Variable(NamedTuple):
 
     dims: tuple[str, ...]  # of one run
     shape: tuple[int, ...]  # of one run
-    dtype: np.dtype[Any]  # with a value for unfinished runs
+    dtype: np.dtype[np.generic]  # with a value for unfinished runs
     attributes: dict[str, str]
 
     @property
@@ -97,7 +98,7 @@ def describe(name: str) -> dict[str, str]:
 
 
 def dataset(
-    schema: Schema, values: Mapping[str, np.ndarray], finished: np.ndarray, attributes: Mapping[str, Any]
+    schema: Schema, values: Mapping[str, np.ndarray], finished: np.ndarray, attributes: Attributes
 ) -> xr.Dataset:
     """The labelled values of all runs.
 

@@ -16,7 +16,7 @@ import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -223,7 +223,7 @@ class Store:
                 write_atomically(file, contents[name])
 
 
-def _seeds_of_a_file(root: dict[str, Any] | None) -> int | None:
+def _seeds_of_a_file(root: versions.Attributes | None) -> int | None:
     """How many seeds a file of their coordinate holds in the store with this root."""
     try:
         seed = (root or {})["consolidated_metadata"]["metadata"][SEED]

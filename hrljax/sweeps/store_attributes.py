@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from hrljax.core.files import PARTIAL, with_reason
 from hrljax.sweeps import chunk_file, versions
@@ -15,13 +13,14 @@ from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT
 from hrljax.sweeps.fingerprint import differences
 from hrljax.sweeps.job import STEPS
 from hrljax.sweeps.schema import SEED
+from hrljax.sweeps.versions import Attributes
 
 FORMAT = {"store_format": "hrljax sweep", "store_version": NEWEST_VERSION}
 CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS, VERSION = "chunk_size", "complete", "seeds", "settings_digest", "store_version"
 _START = "digest.start"
 
 
-def new_attributes(settings: Mapping[str, Any], chunk_size: int) -> dict[str, Any]:
+def new_attributes(settings: Attributes, chunk_size: int) -> Attributes:
     """The attributes of a new store.
 
     Args:
@@ -38,7 +37,7 @@ def _is_setting(name: str) -> bool:
     return name not in (*FORMAT, CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS) and not versions.are_recorded_by(name)
 
 
-def _settings(attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _settings(attributes: Attributes) -> Attributes:
     return {name: value for name, value in attributes.items() if _is_setting(name)}
 
 
@@ -50,9 +49,7 @@ def chunk_size_of(path: str | Path, chunk_size: int | None) -> int | None:
     return chunk_size
 
 
-def continued_attributes(
-    path: Path, on_disk: Mapping[str, Any], new: Mapping[str, Any], allow_other_versions: bool
-) -> dict[str, Any]:
+def continued_attributes(path: Path, on_disk: Attributes, new: Attributes, allow_other_versions: bool) -> Attributes:
     """The attributes of a store that another call continues, maybe with more seeds.
 
     Args:
@@ -90,7 +87,7 @@ def continued_attributes(
     return {name: value for name, value in attributes.items() if name != SETTINGS or name in on_disk}
 
 
-def attributes_on_disk(path: Path) -> dict[str, Any] | None:
+def attributes_on_disk(path: Path) -> Attributes | None:
     """The attributes of a store, None if nothing is there yet.
 
     Where the file that holds them is lost or damaged, they are what labels of chunks tell: the
@@ -122,7 +119,7 @@ def attributes_on_disk(path: Path) -> dict[str, Any] | None:
     raise FileExistsError(f"{message}; it is left alone")
 
 
-def is_of_a_sweep(root: Mapping[str, Any]) -> bool:
+def is_of_a_sweep(root: Attributes) -> bool:
     """Whether a root's file is that of a sweep's store, and not of what somebody saved after loading one."""
     attributes = root.get("attributes")
     if not isinstance(attributes, dict) or attributes.get("store_format") != FORMAT["store_format"]:
@@ -131,7 +128,7 @@ def is_of_a_sweep(root: Mapping[str, Any]) -> bool:
     return lists_arrays and {VERSION, SEEDS, CHUNK_SIZE} <= set(attributes)
 
 
-def parsed_root(content: bytes) -> dict[str, Any] | None:
+def parsed_root(content: bytes) -> Attributes | None:
     """What the root's file says, None if it is damaged."""
     try:
         root = json.loads(content)
@@ -145,7 +142,7 @@ def has_lost_its_root(path: Path) -> bool:
     return all((path / name).is_dir() for name in (SEED, STEPS))
 
 
-def _attributes_from_labels(path: Path) -> dict[str, Any] | None:
+def _attributes_from_labels(path: Path) -> Attributes | None:
     """What intact chunk files tell of their store, None if that is nothing, or if they tell of several."""
     labels = []
     for file in sorted(path.glob("*/c/**/*")):

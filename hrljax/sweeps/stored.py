@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from hrljax.sweeps.chunks import Chunks, DamagedChunkError, chunks_of_version
 from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT
 from hrljax.sweeps.schema import SEED, Grid, Schema, Variable, dataset
 from hrljax.sweeps.store_attributes import CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS, VERSION
-from hrljax.sweeps.versions import VersionsOfRuns, from_attributes
+from hrljax.sweeps.versions import Attributes, VersionsOfRuns, from_attributes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,7 +23,7 @@ _SAID = 5
 """Damaged files that an error names, at most."""
 
 
-def load_store(path: Path, root: Mapping[str, Any]) -> xr.Dataset:
+def load_store(path: Path, root: Attributes) -> xr.Dataset:
     """Loads what ``hrljax.sweep(store=...)`` wrote; it is complete if every run is there.
 
     Args:
@@ -71,7 +70,7 @@ def _collect(chunks: Chunks, collected: Collected, versions: VersionsOfRuns) -> 
         raise ValueError(f"the store {chunks.path} is damaged: {'; '.join(damaged[:_SAID])}{others}; {MENDED}")
 
 
-def _schema(path: Path, attributes: Mapping[str, Any], members: Mapping[str, Any]) -> Schema:
+def _schema(path: Path, attributes: Attributes, members: Attributes) -> Schema:
     """Names and places of the store's values; all but coordinates of a run are in the root's file."""
     axes = json.loads(attributes["axes"])
     coordinates: dict[str, np.ndarray] = {}

@@ -7,16 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jax import Array
 
 from hrljax.core import checks
+from hrljax.core.environment import Numbers
 from hrljax.core.progress import ticking
 from hrljax.engine import batch
 from hrljax.engine.start import Startable
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.sweeps.job import Chunk
 from hrljax.sweeps.request import SweepRequest
 from hrljax.sweeps.schema import dataset
 from hrljax.sweeps.store import Store
@@ -34,7 +36,7 @@ def sweep(
     num_episodes: int,
     axes: Mapping[str, Sequence[float]] | None = None,
     key: Array | int = 0,
-    params: Any = None,
+    params: Numbers | None = None,
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     keep_learned: bool = False,
@@ -137,7 +139,7 @@ def sweep(
         if disk is not None:
             chunks = disk.restore(chunks, collected)
         started = time.perf_counter()
-        run: Callable[..., Any] = request.job.sent() if executor is not None else request.job
+        run: Callable[..., Chunk] = request.job.sent() if executor is not None else request.job
         if chunks and executor is None:
             with ticking(title and f"{title}: compiling"):
                 run = request.job.compiled(request.rows, length)

@@ -6,13 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
     import xarray as xr
 
+Attributes: TypeAlias = dict[str, Any]
+"""What datasets and stores say of themselves, by name: text and numbers, as JSON gives them back."""
 Versions = Mapping[str, str]
 """By the name of a package."""
 ComputedBy = Sequence[tuple[int, Versions]]
@@ -31,7 +33,7 @@ def installed() -> Versions:
     return {package: version(package) for package in _PACKAGES}
 
 
-def from_attributes(attributes: Mapping[str, Any]) -> list[Versions]:
+def from_attributes(attributes: Attributes) -> list[Versions]:
     """The sets of versions that attributes tell of."""
     if _SETS in attributes:
         return json.loads(attributes[_SETS])
@@ -54,7 +56,7 @@ def as_attributes(sets: Sequence[Versions]) -> dict[str, str]:
     return {**joined, _SETS: json.dumps([dict(versions) for versions in sets])} if len(sets) > 1 else joined
 
 
-def recorded(attributes: Mapping[str, Any], sets: Sequence[Versions]) -> dict[str, Any]:
+def recorded(attributes: Attributes, sets: Sequence[Versions]) -> Attributes:
     """The attributes, with these sets of versions in place of those that they tell of."""
     return {**{name: value for name, value in attributes.items() if name != _SETS}, **as_attributes(sets)}
 
