@@ -30,7 +30,7 @@ class Description(NamedTuple):
     """A store without chunks, in memory."""
 
     content: dict[str, Buffer]  # by place, what Zarr keeps bytes in
-    arrays: dict[str, ZarrArray]  # the variables
+    arrays: dict[str, ZarrArray[Any]]  # the variables
 
     @property
     def buffer(self) -> type[Buffer]:
@@ -61,7 +61,7 @@ def describe_store(schema: Schema, chunk_size: int, version: int, seeds_of_a_fil
 
     of_chunks = None if version == FIRST_VERSION else [GzipCodec(level=COMPRESSION)]
     content: dict[str, Buffer] = {}
-    arrays: dict[str, ZarrArray] = {}
+    arrays: dict[str, ZarrArray[Any]] = {}
     store = MemoryStore(store_dict=content)
     group = zarr.create_group(store=store)
     for name, variable in schema.variables.items():
@@ -92,7 +92,7 @@ def _array(
     fill_value: np.generic,
     attributes: dict[str, str],
     compressors: list[GzipCodec] | None = None,
-) -> ZarrArray:
+) -> ZarrArray[Any]:
     """A new Zarr array; all that decides on its bytes is said here, whatever Zarr's defaults are.
 
     What Zarr itself writes is not gzip, which it gives the time of the day.

@@ -28,7 +28,7 @@ def processes(workers: int | None = None) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, context, initializer=begin_worker, initargs=(cores, number))
 
 
-def begin_worker(cores: list[int], number: Synchronized) -> None:
+def begin_worker(cores: list[int], number: "Synchronized[int]") -> None:
     """Pins a new process to the next of some cores; has to run before JAX starts there.
 
     Args:
