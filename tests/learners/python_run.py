@@ -100,7 +100,7 @@ def assert_same_under_every_mapping(learner: Any, axes: dict[str, list[float]], 
 
 
 def assert_learns_only_when_live(learner: Any) -> None:
-    """In lockstep, a step that is not live changes no table, whatever was learned from the same step before."""
+    """Under vmap, a step that does not count changes no table, whatever was learned from the same step before."""
 
     @jax.jit
     def run(live_steps: jax.Array, live: jax.Array) -> tuple[Any, Any]:

@@ -43,7 +43,7 @@ def test_stores_and_workers_have_chunks_within_a_combination(monkeypatch: pytest
         assert found.seconds == pytest.approx(1 + 2 * found.seconds_per_chunk)
 
 
-def test_a_chunk_in_lockstep_takes_as_long_as_its_longest_run(monkeypatch: pytest.MonkeyPatch):
+def test_a_chunk_under_vmap_takes_as_long_as_its_longest_run(monkeypatch: pytest.MonkeyPatch):
     ticking(monkeypatch)
     found = estimate(MAZE, LEARNER, seeds=3, num_episodes=150, mapping="vmap", keep_learned=True)
     assert (found.runs, found.chunks, found.at_once, found.seconds_per_chunk) == (3, 1, 1, 1)
