@@ -85,8 +85,8 @@ def main(options: Options) -> None:
             """Steps a second and steps a second of processor time."""
             executor = executors[name, cores]
             executor.cpu_seconds = 0.0
-            started, own = time.perf_counter(), time.process_time()
-            found = hrl.sweep(
+            started, cpu_before = time.perf_counter(), time.process_time()
+            actual = hrl.sweep(
                 ENV,
                 LEARNER,
                 seeds=options.seeds,
@@ -99,9 +99,9 @@ def main(options: Options) -> None:
                 mapping="native",
                 progress=False,
             )
-            steps = float(found["steps"].sum())
+            steps = float(actual["steps"].sum())
             # Threads share one process, whose time counts all of them.
-            cpu_seconds = executor.cpu_seconds if name == "processes" else time.process_time() - own
+            cpu_seconds = executor.cpu_seconds if name == "processes" else time.process_time() - cpu_before
             return steps / (time.perf_counter() - started), steps / cpu_seconds
 
         for contestant in executors:

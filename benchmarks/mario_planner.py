@@ -169,16 +169,16 @@ def by_mctx(case: str, problem: Problem, policy: str, searches: int) -> Contesta
     trees, rows = problem.on_device()
     rows = jax.tree.map(lambda x: x[:searches], rows)
     simulations = expansions(case) * planner_trees.ACTIONS
-    nothing, logits = jnp.zeros(searches), jnp.zeros((searches, planner_trees.ACTIONS))
+    empty, logits = jnp.zeros(searches), jnp.zeros((searches, planner_trees.ACTIONS))
 
     def recurrent(screens: jax.Array, _: jax.Array, action: jax.Array, nodes: planner_trees.Node) -> Any:
         step = jax.vmap(lambda screen, node, a: planner_trees.model(trees, screen)(node, a))
         after, reward = step(screens, nodes, action)
-        return mctx.RecurrentFnOutput(reward=reward, discount=nothing + 1, prior_logits=logits, value=nothing), after
+        return mctx.RecurrentFnOutput(reward=reward, discount=empty + 1, prior_logits=logits, value=empty), after
 
     @jax.jit
     def search(screens: jax.Array, nodes: planner_trees.Node) -> tuple[jax.Array, jax.Array]:
-        root = mctx.RootFnOutput(prior_logits=logits, value=nothing, embedding=nodes)
+        root = mctx.RootFnOutput(prior_logits=logits, value=empty, embedding=nodes)
         output = getattr(mctx, policy)(screens, jax.random.key(0), root, recurrent, simulations, max_depth=DEPTH)
         return output.action, output.search_tree.summary().value
 
@@ -217,11 +217,11 @@ def measure(entries: list[Contestant], rounds: int) -> list[dict[str, Any]]:
     for number in range(rounds):
         for i, entry in enumerate(entries):
             began = time.process_time()
-            found = entry.run()
+            actual = entry.run()
             seconds = time.process_time() - began
-            speeds[i].append((len(found[0]) / seconds, float(np.sum(found[0])) / seconds))
-            expected = reference.setdefault(entry.case, found)
-            same = map(partial(_starts_with, len(found[0])), expected, found)
+            speeds[i].append((len(actual[0]) / seconds, float(np.sum(actual[0])) / seconds))
+            expected = reference.setdefault(entry.case, actual)
+            same = map(partial(_starts_with, len(actual[0])), expected, actual)
             if entry.same_search and not all(same):
                 raise RuntimeError(f"{entry.name} finds other actions or values than {entries[0].name}: {entry.case}")
         print(f"round {number + 1} of {rounds}", flush=True)
@@ -239,8 +239,8 @@ def measure(entries: list[Contestant], rounds: int) -> list[dict[str, Any]]:
     ]
 
 
-def _starts_with(count: int, expected: np.ndarray, found: np.ndarray) -> bool:
-    return bool(np.array_equal(expected[:count], found))
+def _starts_with(count: int, expected: np.ndarray, actual: np.ndarray) -> bool:
+    return bool(np.array_equal(expected[:count], actual))
 
 
 def report(rows: list[dict[str, Any]]) -> str:

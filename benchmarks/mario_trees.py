@@ -110,19 +110,19 @@ def one_hot(data: Transitions) -> tuple[np.ndarray, np.ndarray]:
 def by_groups(data: Transitions, fit_one: Callable[[Any, np.ndarray, bool], Any], codes: Callable[..., Any]) -> Any:
     """Fits tree by tree with a library that knows one tree; returns the function that predicts."""
     moves, all_inputs = codes(data)
-    own = [data.actions == a for a in range(NUM_ACTIONS)]
-    trees = [[fit_one(moves[rows], data.targets[rows, k], False) for k in range(4)] for rows in own]
+    rows_of_actions = [data.actions == a for a in range(NUM_ACTIONS)]
+    trees = [[fit_one(moves[rows], data.targets[rows, k], False) for k in range(4)] for rows in rows_of_actions]
     reward = fit_one(all_inputs, data.rewards, True)
 
     def predictions(other: Transitions) -> np.ndarray:
         moves, all_inputs = codes(other)
-        found = np.zeros((len(other.actions), 5))
+        actual = np.zeros((len(other.actions), 5))
         for a in range(NUM_ACTIONS):
             rows = other.actions == a
             for k in range(4):
-                found[rows, k] = trees[a][k](moves[rows])
-        found[:, 4] = reward(all_inputs)
-        return found
+                actual[rows, k] = trees[a][k](moves[rows])
+        actual[:, 4] = reward(all_inputs)
+        return actual
 
     return predictions
 

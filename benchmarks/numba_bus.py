@@ -187,9 +187,9 @@ def hordq(
                         if not can_invoke[i, k, j]:
                             continue
                         allowed += 1
-                        there = tasks[i * slots + k] * STATES + s
-                        b = _greedy(q, there)
-                        until_end[i, k, j] = q[there, b, 0] + q[there, b, 1]
+                        place = tasks[i * slots + k] * STATES + s
+                        b = _greedy(q, place)
+                        until_end[i, k, j] = q[place, b, 0] + q[place, b, 1]
                         value = unknown
                         if model[i, k, num_m, j] > 0:
                             value = until_end[i, k, j]

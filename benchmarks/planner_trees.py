@@ -140,9 +140,9 @@ def model(trees: Trees, screen: Array) -> Callable[[Node, Array], tuple[Node, Ar
         patch = lax.dynamic_slice(screen, (row.astype(jnp.uint32), column.astype(jnp.uint32)), (PATCH, PATCH))
         speeds = jnp.stack([node.dx, node.dy, action.astype(jnp.float32)])
         inputs = jnp.concatenate([patch.reshape(-1), speeds])
-        own = action * np.int32(4) + np.arange(4, dtype=np.int32)
-        found = descend(jnp.concatenate([own, jnp.full(1, num_trees - 1, jnp.int32)]), inputs)
-        move_x, move_y, dx, dy, reward = (take(found, jnp.int32(i)) for i in range(5))
+        motion_trees = action * np.int32(4) + np.arange(4, dtype=np.int32)
+        actual = descend(jnp.concatenate([motion_trees, jnp.full(1, num_trees - 1, jnp.int32)]), inputs)
+        move_x, move_y, dx, dy, reward = (take(actual, jnp.int32(i)) for i in range(5))
         return Node(node.x + move_x, node.y + move_y, dx, dy), reward
 
     return step

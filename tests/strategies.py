@@ -178,17 +178,17 @@ def random_problem(
         return generator.choice(names, generator.integers(least, len(names) + 1), replace=False).tolist()
 
     def somewhere() -> np.ndarray:
-        found = generator.random(num_states) < generator.uniform(0.3, 0.9)
-        found[generator.integers(num_states)] = True
-        return found
+        actual = generator.random(num_states) < generator.uniform(0.3, 0.9)
+        actual[generator.integers(num_states)] = True
+        return actual
 
     below: list[str] = []
     for layer in range(levels - 1):
         names = [f"T{layer}.{i}" for i in range(generator.integers(2, width + 1))]
         for name in names:
             called = some(below) if below else []
-            own = some(list(actions), 0) if called and generator.random() < 0.5 else []
-            children[name] = shuffled(called + own) if called else shuffled(list(actions))
+            of_env = some(list(actions), 0) if called and generator.random() < 0.5 else []
+            children[name] = shuffled(called + of_env) if called else shuffled(list(actions))
             active[name] = somewhere() & np.any([active[c] for c in called], axis=0) if called else somewhere()
             if not active[name].any():
                 active[name] = np.any([active[c] for c in called], axis=0)

@@ -26,8 +26,8 @@ each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: 
 def blocks(document: Path, language: str) -> list[str]:
     """Code of the fenced blocks in a language, below as many empty lines as there are lines above it."""
     text = document.read_text()
-    found = (match for match in FENCE.finditer(text) if match[1] == language)
-    return ["\n" * text.count("\n", 0, match.start(2)) + match[2] for match in found]
+    actual = (match for match in FENCE.finditer(text) if match[1] == language)
+    return ["\n" * text.count("\n", 0, match.start(2)) + match[2] for match in actual]
 
 
 def small(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -157,11 +157,11 @@ def test_handlers_of_the_user_are_called_at_once():
     calls: list[int] = []
     before = signal.signal(signal.SIGTERM, lambda number, _: calls.append(number))
     try:
-        own = signal.getsignal(signal.SIGTERM)
+        handler_before = signal.getsignal(signal.SIGTERM)
         with interrupts.postponed():
             signal.raise_signal(signal.SIGTERM)
             assert calls == [signal.SIGTERM]
-        assert signal.getsignal(signal.SIGTERM) is own
+        assert signal.getsignal(signal.SIGTERM) is handler_before
     finally:
         signal.signal(signal.SIGTERM, before)
 

@@ -126,8 +126,8 @@ def test_streams_positions_and_keys_give_different_words():
     assert len(np.unique(whole, axis=0)) == len(whole)
     for other in (*streams, later):
         assert np.mean(first == other) < 0.01
-    here, there = (random.words(random.key_words(jax.random.key(k)), jnp.uint32(0), 5) for k in (0, 1))
-    assert all(a != b for a, b in zip(here, there, strict=True))
+    of_one_key, of_another = (random.words(random.key_words(jax.random.key(k)), jnp.uint32(0), 5) for k in (0, 1))
+    assert all(a != b for a, b in zip(of_one_key, of_another, strict=True))
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.025, 1 / 3, 0.9, 1.0])

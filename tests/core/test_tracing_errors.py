@@ -45,10 +45,10 @@ def test_one_sentence_says_what_to_write_instead(function: Any, advice: str, tra
 
 
 def test_an_array_that_was_left_behind_is_told_of():
-    kept = []
-    jax.jit(lambda x: kept.append(x + 1))(jnp.int32(3))
+    stored = []
+    jax.jit(lambda x: stored.append(x + 1))(jnp.int32(3))
     with pytest.raises(TypeError, match="keep NumPy arrays from call to call"), explain_tracing("encode"):
-        jax.jit(lambda x: x + kept[0])(jnp.int32(3))
+        jax.jit(lambda x: x + stored[0])(jnp.int32(3))
 
 
 def test_other_errors_stay_as_they_are():

@@ -157,19 +157,19 @@ class Interrupted:
 def test_an_interrupt_keeps_what_is_finished(monkeypatch: pytest.MonkeyPatch):
     whole = swept(**SHORT, evaluate_every=2)
     monkeypatch.setattr(batch, "wait", Interrupted(2))
-    kept = swept(**SHORT, evaluate_every=2, cores=1)  # chunks of 3: one is done, one is running, one never starts
-    assert (kept.attrs["complete"], whole.attrs["complete"]) == (0, 1)
-    assert_same(kept.isel(seed=slice(6)), whole.isel(seed=slice(6)))
-    for variable in kept:
-        assert kept[variable].isel(seed=slice(6, None)).isnull().all()
+    stored = swept(**SHORT, evaluate_every=2, cores=1)  # chunks of 3: one is done, one is running, one never starts
+    assert (stored.attrs["complete"], whole.attrs["complete"]) == (0, 1)
+    assert_same(stored.isel(seed=slice(6)), whole.isel(seed=slice(6)))
+    for variable in stored:
+        assert stored[variable].isel(seed=slice(6, None)).isnull().all()
     for call in interrupts.running():
         call.join()  # it has just ended, for its chunk was waited for
 
 
 def test_an_interrupt_before_anything_is_finished_waits_for_what_runs(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(batch, "wait", Interrupted(1))
-    kept = swept(cores=1)
-    assert kept["return"].notnull().all("episode").values.tolist() == [True] * 3 + [False] * 5
+    stored = swept(cores=1)
+    assert stored["return"].notnull().all("episode").values.tolist() == [True] * 3 + [False] * 5
 
 
 def test_a_second_interrupt_ends_the_sweep(monkeypatch: pytest.MonkeyPatch):
@@ -200,10 +200,10 @@ def test_every_row_lies_at_its_place_in_chunks_of_one_shape():
         shapes.add(rows["x"].shape)
         return {"twice": rows["x"] * 2, "wide": jnp.stack([rows["x"]] * 3, -1)}
 
-    found = batch.run_many(doubled, {"x": jnp.arange(11, dtype=jnp.int32)}, mapping="native", cores=3, chunk_size=4)
+    actual = batch.run_many(doubled, {"x": jnp.arange(11, dtype=jnp.int32)}, mapping="native", cores=3, chunk_size=4)
     assert shapes == {(4,)}
-    np.testing.assert_array_equal(found.values["twice"], 2 * np.arange(11))
-    np.testing.assert_array_equal(found.values["wide"], np.arange(11)[:, None].repeat(3, 1))
+    np.testing.assert_array_equal(actual.values["twice"], 2 * np.arange(11))
+    np.testing.assert_array_equal(actual.values["wide"], np.arange(11)[:, None].repeat(3, 1))
 
 
 def test_chunks_are_small_enough_for_every_core():
@@ -221,11 +221,11 @@ def test_refused_compiler_options_warn_once_and_fall_back(monkeypatch: pytest.Mo
     try:
         with pytest.warns(RuntimeWarning, match="refuses the compiler options of native loops"):
             assert batch.resolve_mapping("auto") == "vmap"
-        found = swept(mapping="auto", chunk_size=7)  # a second warning would be an error
+        actual = swept(mapping="auto", chunk_size=7)  # a second warning would be an error
     finally:
         compiler.native_loops_available.cache_clear()
-    assert found.attrs["mapping"] == "vmap"
-    assert_same(found, expected)
+    assert actual.attrs["mapping"] == "vmap"
+    assert_same(actual, expected)
 
 
 @pytest.mark.parametrize(

@@ -56,11 +56,11 @@ def test_a_stretch_ends_when_no_steps_are_left(counter: Flags | Amounts, left: i
 
 @pytest.mark.parametrize("first", [0, BLOCK - 1])
 def test_a_termination_ends_a_stretch_wherever_it_happens(first: int):
-    counter, nothing = Flags(4), jnp.zeros(4, jnp.float32)
-    now = counter.start(jnp.int32(first), jnp.int32(BLOCK - first), nothing)
+    counter, empty = Flags(4), jnp.zeros(4, jnp.float32)
+    now = counter.start(jnp.int32(first), jnp.int32(BLOCK - first), empty)
     now = counters.add(now, counter.change(jnp.int32(0b11111)))
     assert not counters.goes_on(now)
-    position, terminated, events = counter.read(now, nothing)
+    position, terminated, events = counter.read(now, empty)
     assert (position, bool(terminated)) == (first + 1, True)
     np.testing.assert_array_equal(events, np.ones(4))
 

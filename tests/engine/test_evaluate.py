@@ -93,12 +93,12 @@ def planned_choice(parts: np.ndarray, prepared: Any, run: hrljax.Run) -> np.ndar
 def test_the_root_is_taken_to_choose_as_it_does(learned: Learned):
     root, tables, asked = learned.learner.root, learned.tables.root, outside_of_training(ZERO)
     child_value = learned.learner._child_value(learned.prepared.layout, learned.tables.q)
-    found = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, asked)))(
+    actual = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, asked)))(
         jnp.arange(SMALL.num_states, dtype=jnp.int32)
     )
     decides = learned.choice.any(1)
     assert decides.sum() > 50
-    np.testing.assert_allclose(found[decides], learned.choice[decides], rtol=1e-6)
+    np.testing.assert_allclose(actual[decides], learned.choice[decides], rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +116,8 @@ def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned, 
         follows = np.where(model.terminated[rows], 0, arriving[tasks, model.next_state[rows]])
         value = (model.probability[rows] * (model.reward[rows] + follows)).sum(-1)
     expected = SMALL.initial_distribution() @ (learned.choice * value.T).sum(1)
-    found = greedy_return(learned.learner, SMALL, learned.prepared, learned.tables, SHORT, ZERO)
-    assert float(found) == pytest.approx(expected, abs=1e-3)
+    actual = greedy_return(learned.learner, SMALL, learned.prepared, learned.tables, SHORT, ZERO)
+    assert float(actual) == pytest.approx(expected, abs=1e-3)
     assert -100 < expected < -12
 
 

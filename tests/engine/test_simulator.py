@@ -69,8 +69,8 @@ def test_a_step_that_is_looked_up_is_the_step_that_is_computed(name: str, no_tab
     for _ in range(20):
         states = jnp.asarray(rng.integers(env.num_states, size=BLOCK), jnp.int32)
         actions = jnp.asarray(rng.integers(env.num_actions, size=BLOCK), jnp.int32)
-        found, expected = (jax.tree.leaves(steps(of, states, actions)) for of in (looked_up, computed))
-        for one, other in zip(found, expected, strict=True):
+        actual, expected = (jax.tree.leaves(steps(of, states, actions)) for of in (looked_up, computed))
+        for one, other in zip(actual, expected, strict=True):
             assert one.dtype == other.dtype
             np.testing.assert_array_equal(one, other)
 

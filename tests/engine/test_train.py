@@ -63,10 +63,10 @@ def test_what_may_not_be_traced_is_named_by_its_type(
 
 def test_numbers_of_numpy_are_those_of_python():
     expected = jax.make_jaxpr(lambda: trained(num_episodes=3, bin_size=2))()
-    found = jax.make_jaxpr(
+    actual = jax.make_jaxpr(
         lambda: trained(hrljax.QLearning(discount=np.array(1.0)), np.int32(3), bin_size=np.array(2))
     )()
-    assert str(found) == str(expected)
+    assert str(actual) == str(expected)
 
 
 def test_a_sweep_of_numpys_numbers_fits_into_a_store(tmp_path: Any):

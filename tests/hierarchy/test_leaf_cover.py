@@ -172,8 +172,8 @@ def test_access_is_what_can_be_reached_by_calling_active_children(problem):
 
     for number, task in enumerate(hierarchy.subtasks):
         for state in range(active.shape[1]):
-            found = {a for a, yes in zip(hierarchy.actions, can[number, state], strict=True) if yes}
-            assert found == reach(task.name, state)
+            actual = {a for a, yes in zip(hierarchy.actions, can[number, state], strict=True) if yes}
+            assert actual == reach(task.name, state)
 
 
 def test_added_actions_do_not_change_what_a_hierarchy_is_made_of():

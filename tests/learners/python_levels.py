@@ -48,8 +48,8 @@ class PythonEnv:
 
         grid = np.meshgrid(range(env.num_states), range(env.num_actions), range(kinds[0].size), indexing="ij")
         state, action, kind = (axis.ravel().astype(np.int32) for axis in grid)
-        found = jax.jit(jax.vmap(outcome))(state, action, tuple(jnp.asarray(k.ravel()[kind]) for k in kinds))
-        self.outcomes = [np.asarray(column).reshape(grid[0].shape) for column in found]
+        actual = jax.jit(jax.vmap(outcome))(state, action, tuple(jnp.asarray(k.ravel()[kind]) for k in kinds))
+        self.outcomes = [np.asarray(column).reshape(grid[0].shape) for column in actual]
 
     def first_states(self, words: list[list[int]]) -> list[int]:
         drawn_words = jnp.asarray(np.array(words, np.uint32))

@@ -86,12 +86,12 @@ def test_the_latest_outcomes_are_kept():
 
     @jax.jit
     def run() -> samples.Samples:
-        found = samples.empty(2, 2, 2)
+        actual = samples.empty(2, 2, 2)
         for reward, after, terminated, live in steps:
             here, action = jnp.int32(1), jnp.int32(1)
             step = Transition(here, action, jnp.float32(reward), jnp.int32(after), jnp.bool_(terminated))
-            found = samples.recorded(found, jnp.int32(3), step, 2, jnp.bool_(live))
-        return found
+            actual = samples.recorded(actual, jnp.int32(3), step, 2, jnp.bool_(live))
+        return actual
 
     seen, after, reward = run()
     assert seen.tolist() == [0, 0, 0, 3]

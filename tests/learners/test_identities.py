@@ -37,12 +37,12 @@ def hordq() -> Any:
     """A run of HORDQ by its pseudo-reward."""
     learner = hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), initial_value=-25.0)
     run = runner(learner)
-    found: dict[float, hrljax.Run] = {}
+    actual: dict[float, hrljax.Run] = {}
 
     def by_pseudo_reward(pseudo_reward: float) -> hrljax.Run:
-        if pseudo_reward not in found:
-            found[pseudo_reward] = run(pseudo_reward=pseudo_reward)
-        return found[pseudo_reward]
+        if pseudo_reward not in actual:
+            actual[pseudo_reward] = run(pseudo_reward=pseudo_reward)
+        return actual[pseudo_reward]
 
     return by_pseudo_reward
 
@@ -160,12 +160,12 @@ def test_hordq_over_one_leaf_with_exits_to_itself_is_q_learning():
                 return (tables, q), jnp.abs(tables[0, ..., :PSEUDO].sum(-1) - q).max()
 
             start = jnp.zeros((1, STATES, ACTIONS, 4), jnp.float64).at[..., EXIT].set(3.0)
-            (tables, _), found = lax.scan(step, (start, jnp.full((STATES, ACTIONS), 3.0)), steps)
-            return tables, found
+            (tables, _), actual = lax.scan(step, (start, jnp.full((STATES, ACTIONS), 3.0)), steps)
+            return tables, actual
 
-        tables, found = differences()
-        assert found.shape == (20_000,)
-        assert found.max() < 1e-12
+        tables, actual = differences()
+        assert actual.shape == (20_000,)
+        assert actual.max() < 1e-12
         assert np.all(np.ptp(np.asarray(tables[0]), axis=(0, 1)) > 0.1)  # each part carries something
 
 

@@ -63,7 +63,7 @@ def taxi_tasks() -> Graph:
     aboard = passenger == 4
     return Graph(
         children={"Root": ["Get", "Put"], "Get": [pickup, *at], "Put": [putdown, *at], **dict.fromkeys(at, moves)},
-        active={"Root": number >= 0, "Get": ~aboard, "Put": aboard, **{name: ~there for name, there in at.items()}},
+        active={"Root": number >= 0, "Get": ~aboard, "Put": aboard, **{name: ~place for name, place in at.items()}},
         goal={"Root": number < 0, "Get": aboard, "Put": passenger == destination, **at},
     )
 
@@ -136,7 +136,7 @@ def test_greedy_behaviour_has_the_value_that_plain_python_finds(name: str):
     learner, domain = CASES[name], name.split(", ")[1]
     env, params = DOMAINS[domain].env, DOMAINS[domain].params
     run, walk = both(name)
-    found = greedy_return(learner, env, learner.prepare(env), run.learned, params, np.uint32(0))
-    assert found.dtype == jnp.float32
-    assert float(found) == pytest.approx(walk.program.greedy_return(outcomes(domain)), abs=1e-4)
-    assert -90 < float(found) < -3
+    actual = greedy_return(learner, env, learner.prepare(env), run.learned, params, np.uint32(0))
+    assert actual.dtype == jnp.float32
+    assert float(actual) == pytest.approx(walk.program.greedy_return(outcomes(domain)), abs=1e-4)
+    assert -90 < float(actual) < -3

@@ -32,14 +32,14 @@ def test_the_model_moves_every_outcome_by_the_step_size_or_one_nth():
     def one(row, those, *rest):
         return jnp.stack(updated(list(row), list(those), *rest, jnp.uint32(0)))
 
-    found = jax.jit(jax.vmap(one))(*map(jnp.asarray, (entries, outcomes, outcome, weight, step_size, live)))
+    actual = jax.jit(jax.vmap(one))(*map(jnp.asarray, (entries, outcomes, outcome, weight, step_size, live)))
     for i in range(trials):
         size = max(step_size[i], F(1) / (entries[i, -1] + F(1)))
         expected = entries[i].copy()
         for m in range(width):
             expected[m] += size * ((weight[i] if outcomes[i, m] == outcome[i] else F(0)) - expected[m])
         expected[-1] += 1
-        np.testing.assert_array_equal(found[i], expected if live[i] else entries[i])
+        np.testing.assert_array_equal(actual[i], expected if live[i] else entries[i])
 
 
 def test_trials_with_one_nth_step_sizes_give_the_average_outcome():
@@ -79,8 +79,8 @@ def test_a_sweep_backs_up_every_point_from_the_old_values():
                     after += model[pair, m, y] * values[outcomes[pair, m], y]
                 worth.append(until_end[pair, y] + after if model[pair, -1, y] else unknown)
             expected[x, y] = max(worth, default=unknown)
-    found = jax.jit(partial(sweep, points))(model, until_end, values, unknown, jnp.uint32(0))
-    np.testing.assert_array_equal(found, expected)
+    actual = jax.jit(partial(sweep, points))(model, until_end, values, unknown, jnp.uint32(0))
+    np.testing.assert_array_equal(actual, expected)
     assert (expected == unknown).any()
     assert (expected != unknown).any()
 

@@ -108,8 +108,8 @@ def test_the_values_are_the_optimal_ones_of_the_model_of_known_pairs():
 def test_the_optimum_is_near_where_thirty_visits_tell_much():
     slippery = CERTAIN._replace(slip_probability=0.1, max_steps=200)
     options = {"seeds": 4, "num_episodes": 8000, "bin_size": 4000, "evaluate_every": 1, "progress": False}
-    found = hrljax.sweep(SMALL, RMax(known_after=30), params=slippery, **options)
-    gap = optimum(slippery) - found["greedy_return"].values
+    actual = hrljax.sweep(SMALL, RMax(known_after=30), params=slippery, **options)
+    gap = optimum(slippery) - actual["greedy_return"].values
     assert gap.min() > -0.01
     assert gap[:, -1].mean() < 0.1
     assert gap[:, 0].mean() < 0.3

@@ -123,9 +123,9 @@ def actions_to(nodes: list[PythonNode], index: int) -> list[int]:
     return [*actions_to(nodes, nodes[index].parent), nodes[index].action] if index else []
 
 
-def assert_equals_python(found: SearchResult, table: Table, num_actions: int, depth: int, **options: Any) -> None:
+def assert_equals_python(actual: SearchResult, table: Table, num_actions: int, depth: int, **options: Any) -> None:
     nodes, expansion, best = in_python(table, num_actions, depth, **options)
-    n, tree = len(nodes), found.tree
+    n, tree = len(nodes), actual.tree
     assert tree.num_nodes == n
     np.testing.assert_array_equal(tree.value[:n], [node.value for node in nodes])
     np.testing.assert_array_equal(tree.reward[:n], [node.reward for node in nodes])
@@ -141,11 +141,11 @@ def assert_equals_python(found: SearchResult, table: Table, num_actions: int, de
     for blank in (tree.reward, tree.state["row"], tree.state["trace"]):
         assert not np.any(blank[n:])
     sequence = actions_to(nodes, best)
-    assert found.node == best
-    assert found.length == len(sequence)
-    np.testing.assert_array_equal(found.actions, sequence + [-1] * (depth - len(sequence)))
-    assert found.action == sequence[0]
-    np.testing.assert_array_equal(found.value, nodes[best].value)
+    assert actual.node == best
+    assert actual.length == len(sequence)
+    np.testing.assert_array_equal(actual.actions, sequence + [-1] * (depth - len(sequence)))
+    assert actual.action == sequence[0]
+    np.testing.assert_array_equal(actual.value, nodes[best].value)
 
 
 SETTINGS: dict[str, tuple[int, dict[str, Any]]] = {
@@ -201,13 +201,13 @@ def line(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def test_the_thesis_numbers_are_34_expansions_of_9_children():
-    def nothing(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def empty(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
         return state, -action.astype(jnp.float32)
 
-    result = jax.jit(lambda x: best_first_search(nothing, x, 9))(jnp.int32(0))
+    result = jax.jit(lambda x: best_first_search(empty, x, 9))(jnp.int32(0))
     assert result.tree.num_nodes == 1 + 34 * 9
     assert result.actions.shape == (6,)
-    expanded = jax.jit(lambda x: best_first_search(nothing, x, 9, count="expanded"))(jnp.int32(0))
+    expanded = jax.jit(lambda x: best_first_search(empty, x, 9, count="expanded"))(jnp.int32(0))
     assert expanded.tree.num_nodes == 1 + 300 * 9
     assert np.max(expanded.tree.depth) == 6
 

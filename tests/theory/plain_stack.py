@@ -69,11 +69,11 @@ class PlainStack:
         """Who of the leaf cover takes control (i' of eq. 3.6), from whoever has it."""
         if stack[-1] in self.cover:
             return {(stack, state): 1.0}
-        found: dict[Node, float] = {}
+        actual: dict[Node, float] = {}
         for child, chance in self.choices(stack, state):
             for node, further in self.next_in_cover((*stack, child), state).items():
-                found[node] = found.get(node, 0.0) + chance * further
-        return found
+                actual[node] = actual.get(node, 0.0) + chance * further
+        return actual
 
     def nodes(self) -> list[Node]:
         """Everything that can be reached from the root in some state, under any policy."""

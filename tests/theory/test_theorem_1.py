@@ -36,29 +36,29 @@ class Evaluated:
         return sum(p * table[self.at(stack, state, child)] for child, p in self.play.choices(stack, state))
 
 
-def check_theorem_1(found: Evaluated) -> int:
+def check_theorem_1(actual: Evaluated) -> int:
     """Residuals of the primitive equation and of the identities of composite children; how many of the latter."""
-    play, q, values = found.play, found.values.q, found.values
+    play, q, values = actual.play, actual.values.q, actual.values
     composites = 0
     for stack, state in play.nodes():
         for child, _ in play.choices(stack, state):
-            at = found.at(stack, state, child)
+            at = actual.at(stack, state, child)
             if play.hierarchy.is_primitive(child):
                 reward, follows = play.after(stack, state, child)
                 target = reward
                 for (left, after), chance in follows.items():
                     for (next_stack, _), further in play.next_in_cover(left, after).items():
-                        value = found.followed(q, next_stack, after)
+                        value = actual.followed(q, next_stack, after)
                         target += play.problem.discount * chance * further * value
                 assert q[at] == pytest.approx(target, abs=1e-10)
                 assert values.reward[at] == pytest.approx(reward, abs=1e-12)
             else:
                 composites += 1
                 called = (*stack, child)
-                assert q[at] == pytest.approx(found.followed(q, called, state), abs=1e-10)
-                until_end = found.followed(values.reward + values.completion, called, state)
+                assert q[at] == pytest.approx(actual.followed(q, called, state), abs=1e-10)
+                until_end = actual.followed(values.reward + values.completion, called, state)
                 assert values.reward[at] == pytest.approx(until_end, abs=1e-10)  # eq. 3.3
-        assert values.value[found.context[stack], state] == pytest.approx(found.followed(q, stack, state), abs=1e-10)
+        assert values.value[actual.context[stack], state] == pytest.approx(actual.followed(q, stack, state), abs=1e-10)
     return composites
 
 
@@ -83,15 +83,15 @@ def test_each_part_is_the_reward_of_its_time(levels: int, termination: str):
     """Q_r while the child runs, Q_c while its caller does, Q_e afterwards: by playing them out."""
     generator = np.random.default_rng(levels)
     problem = random_problem(generator, levels, num_states=4, num_actions=2, discount=0.5, width=2)
-    found = Evaluated(problem, random_policy(generator, problem), termination)
-    nodes = found.play.nodes()
+    actual = Evaluated(problem, random_policy(generator, problem), termination)
+    nodes = actual.play.nodes()
     used = np.zeros(3, np.bool_)
     for number in generator.permutation(len(nodes))[:8]:
         stack, state = nodes[number]
-        for child, _ in found.play.choices(stack, state):
-            played = found.play.parts_by_playing(stack, state, child, steps=50 * levels)
-            at = found.at(stack, state, child)
-            parts = found.values.reward[at], found.values.completion[at], found.values.exit[at]
+        for child, _ in actual.play.choices(stack, state):
+            played = actual.play.parts_by_playing(stack, state, child, steps=50 * levels)
+            at = actual.at(stack, state, child)
+            parts = actual.values.reward[at], actual.values.completion[at], actual.values.exit[at]
             np.testing.assert_allclose(parts, played, atol=1e-12)
             used |= np.abs(parts) > 0.01
     assert used.all()
@@ -99,6 +99,6 @@ def test_each_part_is_the_reward_of_its_time(levels: int, termination: str):
 
 def test_the_root_leaves_nothing_for_after_its_end():
     problem = random_problem(np.random.default_rng(1), 3)
-    found = Evaluated(problem, random_policy(np.random.default_rng(2), problem))
-    rows = found.values.exit[0]
+    actual = Evaluated(problem, random_policy(np.random.default_rng(2), problem))
+    rows = actual.values.exit[0]
     assert np.all((rows == 0) | np.isnan(rows))

@@ -95,22 +95,22 @@ def test_the_optimal_values_of_a_subtask_do_not_depend_on_its_caller():
     """So that Q(i, s, a) of the theorem is well defined for tables by subtask."""
     generator = np.random.default_rng(5)
     problem = random_problem(generator, 3, num_states=10)
-    found = learned(problem, random_policy(generator, problem))
-    assert found.process.contexts.size > len(problem.hierarchy.subtasks)
-    q = found.process.spread(found.best.q)
-    common = found.process.by_subtask(q)
+    actual = learned(problem, random_policy(generator, problem))
+    assert actual.process.contexts.size > len(problem.hierarchy.subtasks)
+    q = actual.process.spread(actual.best.q)
+    common = actual.process.by_subtask(q)
     for number, task in enumerate(problem.hierarchy.subtasks):
         if task.name in problem.hierarchy.leaf_cover():
-            somewhere = ~np.isnan(q[found.process.contexts.task == number]).all(0)
+            somewhere = ~np.isnan(q[actual.process.contexts.task == number]).all(0)
             assert np.isfinite(common[number])[somewhere].all()
 
 
 def test_the_parts_of_the_fixed_point_sum_to_the_optimal_values():
     generator = np.random.default_rng(4)
     problem = random_problem(generator, 3, num_states=10)
-    found = learned(problem, random_policy(generator, problem))
-    values = decompose(found.process, found.best.weights)
-    np.testing.assert_allclose(values.q, found.process.spread(found.best.q), atol=1e-10)
+    actual = learned(problem, random_policy(generator, problem))
+    values = decompose(actual.process, actual.best.weights)
+    np.testing.assert_allclose(values.q, actual.process.spread(actual.best.q), atol=1e-10)
     parts = np.stack([values.reward, values.completion, values.exit])
     assert np.all(np.nanmax(np.abs(parts), axis=(1, 2, 3)) > 0.1)
 
@@ -151,8 +151,8 @@ def fixed_point(batch: Batch, with_exit: bool) -> np.ndarray:
     moves = batch.transition.reshape(PROBLEMS, STATES * ACTIONS, STATES)
 
     def expected(value: np.ndarray) -> np.ndarray:
-        found = np.einsum("bij,btj->bti", moves, value, optimize=True)
-        return DISCOUNT * found.reshape(PROBLEMS, LEAVES, STATES, ACTIONS)
+        actual = np.einsum("bij,btj->bti", moves, value, optimize=True)
+        return DISCOUNT * actual.reshape(PROBLEMS, LEAVES, STATES, ACTIONS)
 
     for _ in range(2000):
         best = parts.sum(0).argmax(-1)

@@ -58,10 +58,10 @@ def errors(problem: Problem, exits: Array) -> Array:
         next_task = jnp.where(exited, invoked, task)
         row = tables[next_task, after]
         child = jnp.argmax(row[:, :PSEUDO].sum(-1))
-        nothing = jnp.float64(0)
+        empty = jnp.float64(0)
         gamma = learning().discounted(discount)
-        target = hordq_target(reward[state, action], gamma, exited, nothing, Q(*row[child]))
-        target = target._replace(e=jnp.where(exits, target.e, nothing))
+        target = hordq_target(reward[state, action], gamma, exited, empty, Q(*row[child]))
+        target = target._replace(e=jnp.where(exits, target.e, empty))
         at = task, state, action
         visits = visits.at[at].add(1)
         new = updates.increment(tables[at], jnp.stack(target), visits[at] ** -POWER, jnp.bool_(True), zero)
@@ -70,13 +70,13 @@ def errors(problem: Problem, exits: Array) -> Array:
     visits = jnp.zeros((2, num_states, num_actions), jnp.float64)
     first = jnp.argmax(active[:, 0]).astype(jnp.int32)
     carry = jnp.zeros((*visits.shape, 4), jnp.float64), visits, first, jnp.int32(0)
-    found = []
+    actual = []
     keys = jax.random.split(jax.random.key(0), STAGES[-1])
     for low, high in zip((0, *STAGES), STAGES, strict=False):
         carry, _ = lax.scan(step, carry, keys[low:high])
         off = jnp.abs(carry[0][..., :PSEUDO].sum(-1) - optimal)
-        found.append(jnp.where(active[..., None], off, 0).max())
-    return jnp.stack(found)
+        actual.append(jnp.where(active[..., None], off, 0).max())
+    return jnp.stack(actual)
 
 
 def test_the_sum_of_the_parts_converges_to_the_optimal_values(curves: Any):

@@ -262,9 +262,9 @@ def test_a_policy_over_states_takes_the_best_action(walk: Recorded, tmp_path: Pa
     state = learner.init(ENV, learner.prepare(ENV))
     drawn = np.random.default_rng(5).normal(size=state.tables.weights.shape).astype(F)
     hrl.Learned(ENV, learner, state.tables._replace(weights=drawn)).save(tmp_path / "x.npz")
-    found = hrl.Learned.load(tmp_path / "x.npz")
-    assert (found.env, found.learner) == (ENV, learner)
-    policy, python = found.policy(), PythonSARSA(learner)
+    actual = hrl.Learned.load(tmp_path / "x.npz")
+    assert (actual.env, actual.learner) == (ENV, learner)
+    policy, python = actual.policy(), PythonSARSA(learner)
     python.weights = drawn.reshape(-1, ACTIONS)
     states = [walk.first, *(step.next_state for step in walk.steps[::8])]
     chosen = [policy(state) for state in states]
@@ -280,9 +280,9 @@ def test_a_learner_with_a_root_comes_back_from_disk(tmp_path: Path):
     shapes = jax.eval_shape(lambda: learner.init(ENV, learner.prepare(ENV)).tables)
     tables = jax.tree.map(lambda leaf: np.ones(leaf.shape, leaf.dtype), shapes)
     hrl.Learned(ENV, learner, tables).save(tmp_path / "x.npz")
-    found = hrl.Learned.load(tmp_path / "x.npz")
-    assert (found.env, found.learner) == (ENV, learner)
-    chex.assert_trees_all_equal(found.tables, tables)
+    actual = hrl.Learned.load(tmp_path / "x.npz")
+    assert (actual.env, actual.learner) == (ENV, learner)
+    chex.assert_trees_all_equal(actual.tables, tables)
 
 
 @pytest.mark.parametrize("pessimism", [-1.0, float("nan"), float("inf")])

@@ -12,9 +12,9 @@ def test_what_was_marked_is_met_and_hardly_anything_else():
     rows = jnp.asarray(np.unique(random.integers(-40, 40, size=(4000, 12)), axis=0), jnp.int32)
     half = len(rows) // 2
     table, _ = jax.lax.scan(lambda table, row: (mark(table, row, True), None), nothing_met(), rows[:half])
-    found = np.asarray(jax.vmap(lambda row: is_met(table, row))(rows))
-    assert found[:half].all()
-    assert found[half:].mean() < 0.01  # 2,000 of two million places are taken
+    actual = np.asarray(jax.vmap(lambda row: is_met(table, row))(rows))
+    assert actual[:half].all()
+    assert actual[half:].mean() < 0.01  # 2,000 of two million places are taken
 
 
 def test_rows_that_differ_in_one_entry_by_one_are_told_apart():
