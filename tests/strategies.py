@@ -187,8 +187,8 @@ def random_problem(
         names = [f"T{layer}.{i}" for i in range(generator.integers(2, width + 1))]
         for name in names:
             called = some(below) if below else []
-            of_env = some(list(actions), 0) if called and generator.random() < 0.5 else []
-            children[name] = shuffled(called + of_env) if called else shuffled(list(actions))
+            some_actions = some(list(actions), 0) if called and generator.random() < 0.5 else []
+            children[name] = shuffled(called + some_actions) if called else shuffled(list(actions))
             active[name] = somewhere() & np.any([active[c] for c in called], axis=0) if called else somewhere()
             if not active[name].any():
                 active[name] = np.any([active[c] for c in called], axis=0)
