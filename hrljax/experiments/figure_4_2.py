@@ -2,19 +2,20 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import optax
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from hrljax import plots, stats
+from hrljax.engine import batch
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.envs.bus.map import KAO_V1
 from hrljax.experiments.backup import PseudoRewardInBackup
-from hrljax.experiments.rows import interval_row
-from hrljax.learners.base import AnyLearner
+from hrljax.experiments.rows import Row, interval_row
+from hrljax.learners.base import Learner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.learners.roots.model import ModelRoot
@@ -62,7 +63,7 @@ def curves(num_episodes: int) -> list[Curve]:
     return learners
 
 
-def exact() -> dict[str, Any]:
+def exact() -> Row:
     """Figures of the Bus domain by dynamic programming, expected returns of an episode."""
     env = Bus()
     model, initial = env.model(), env.initial_distribution()
@@ -91,7 +92,9 @@ def bin_size(num_episodes: int) -> int:
     return int(np.gcd.reduce([*limits, num_episodes]))
 
 
-def run(seeds: int, num_episodes: int, cores: int | None, mapping: Any, key: int) -> Iterator[tuple[Curve, xr.Dataset]]:
+def run(
+    seeds: int, num_episodes: int, cores: int | None, mapping: batch.Mapping, key: int
+) -> Iterator[tuple[Curve, xr.Dataset]]:
     """Runs one curve after the other. Those that fail are shown by fewer episodes and seeds."""
     for curve in curves(num_episodes):
         fails = curve.panel == "fails"
@@ -112,7 +115,7 @@ def run(seeds: int, num_episodes: int, cores: int | None, mapping: Any, key: int
             return
 
 
-def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
+def summary_row(curve: Curve, dataset: xr.Dataset) -> Row:
     """The entry of a curve in ``summary.json``."""
     episodes = int(dataset["episode"].values[-1])
     limits = [limit for limit in _BINS if limit < episodes] + [episodes]
@@ -139,7 +142,7 @@ def summary_row(curve: Curve, dataset: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """The rows as text: mean return in each bin of episodes."""
     lines = []
     for panel, title in PANELS.items():
@@ -163,10 +166,10 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines).lstrip("\n")
 
 
-def picture(results: list[tuple[Curve, xr.Dataset]], values: dict[str, Any]) -> Figure:
+def picture(results: list[tuple[Curve, xr.Dataset]], values: Row) -> Figure:
     """The two panels of Figure 4.2."""
     figure = Figure(figsize=(13, 5.8), layout="constrained")
-    legend: dict[str, Any] = {}
+    legend: dict[str, Artist] = {}
     references = {"optimum": values["optimal"]["mean"], "best epsilon-soft": values["epsilon_soft"]}
     for panel, ax in zip(("model", "random"), figure.subplots(1, 2, sharey=True), strict=True):
         shown = {curve.name: dataset for curve, dataset in results if panel in curve.panels}

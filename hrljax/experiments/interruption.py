@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -50,7 +51,7 @@ class Interruption:
                 of_python = handler in (signal.SIG_DFL, signal.default_int_handler)
                 signal.signal(number, handler if of_python else signal.SIG_IGN)
 
-    def _handle(self, number: int, _frame: Any) -> None:
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
         if self.signal and not self._was_swallowed:
             leave(self.status, "interrupted twice: stopped at once")
         if not self.signal:
@@ -59,7 +60,7 @@ class Interruption:
         if self.raises:
             raise KeyboardInterrupt
 
-    def _unraisable(self, unraisable: Any) -> None:
+    def _unraisable(self, unraisable: "sys.UnraisableHookArgs") -> None:
         """An interrupt within a destructor or a callback, where Python drops what is raised: raises it again."""
         if self.signal and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._was_swallowed = True

@@ -3,18 +3,18 @@
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from hrljax import stats
+from hrljax.core.environment import Numbers
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
-from hrljax.experiments.rows import interval_row
-from hrljax.learners.base import AnyLearner
+from hrljax.experiments.rows import Row, interval_row
+from hrljax.learners.base import Learner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
@@ -39,7 +39,7 @@ class Domain:
     initial_value: float
 
     @property
-    def params(self) -> Any:
+    def params(self) -> Numbers:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
     def learners(self) -> dict[str, AnyLearner]:
@@ -174,7 +174,7 @@ def best(dataset: xr.Dataset) -> dict[str, float]:
     return {str(name): float(means[name][index]) for name, index in place.items()}
 
 
-def setting_rows(domain: str, learner: str, dataset: xr.Dataset) -> list[dict[str, Any]]:
+def setting_rows(domain: str, learner: str, dataset: xr.Dataset) -> list[Row]:
     """The numbers of every setting."""
     axes = {str(dim): dataset[dim].values for dim in dataset["mean_return"].dims if dim != "seed"}
     return [
@@ -183,7 +183,7 @@ def setting_rows(domain: str, learner: str, dataset: xr.Dataset) -> list[dict[st
     ]
 
 
-def setting_row(domain: str, learner: str, dataset: xr.Dataset, setting: dict[str, float]) -> dict[str, Any]:
+def setting_row(domain: str, learner: str, dataset: xr.Dataset, setting: dict[str, float]) -> Row:
     """The numbers of one setting for ``summary.json``, the table and the CSV."""
     runs = dataset.sel(setting)
     middle = stats.bootstrap_interval(runs["mean_return"], "interquartile_mean")
@@ -203,7 +203,7 @@ def setting_row(domain: str, learner: str, dataset: xr.Dataset, setting: dict[st
     }
 
 
-def best_row(domain: str, learner: str, dataset: xr.Dataset) -> dict[str, Any]:
+def best_row(domain: str, learner: str, dataset: xr.Dataset) -> Row:
     """The numbers of a learner's best setting, and how fast all its settings ran."""
     seconds = float(dataset.attrs["seconds"])
     return {
@@ -214,7 +214,7 @@ def best_row(domain: str, learner: str, dataset: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def comparisons(domain: str, datasets: dict[str, xr.Dataset]) -> list[dict[str, Any]]:
+def comparisons(domain: str, datasets: dict[str, xr.Dataset]) -> list[Row]:
     """How HORDQ compares with each other learner, both at their best, run by run."""
     chosen = {name: dataset["mean_return"].sel(best(dataset), drop=True) for name, dataset in datasets.items()}
     rows = []
@@ -235,7 +235,7 @@ def comparisons(domain: str, datasets: dict[str, xr.Dataset]) -> list[dict[str, 
     return rows
 
 
-def csv(rows: list[dict[str, Any]]) -> str:
+def csv(rows: list[Row]) -> str:
     """Every setting as comma-separated values; empty where there is no number."""
     intervals = ("mean_return", "interquartile_mean", "final_return")
     plain = ("domain", "learner", "step_size", "pseudo_reward")
@@ -249,13 +249,13 @@ def csv(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def table(rows: list[dict[str, Any]], comparisons: list[dict[str, Any]]) -> str:
+def table(rows: list[Row], comparisons: list[Row]) -> str:
     """The best settings and their comparisons as text."""
 
     def number(value: float | None, form: str) -> str:
         return format(float("nan") if value is None else value, form)
 
-    def interval(row: dict[str, Any], form: str) -> str:
+    def interval(row: Row, form: str) -> str:
         return f"{number(row['mean'], form)} [{number(row['lo'], form)},{number(row['hi'], form)}]"
 
     lines = [

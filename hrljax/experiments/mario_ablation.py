@@ -8,6 +8,7 @@ from typing import Any
 from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.mario_search import UNLIMITED
+from hrljax.experiments.rows import Row
 from hrljax.learners.relational.learned_model import MarioModel
 from hrljax.learners.relational.learner import RelationalHORDQ
 from hrljax.learners.relational.search_root import SearchRoot
@@ -72,7 +73,7 @@ def check_names(names: Iterable[str]) -> None:
 
 def rows(
     names: Sequence[str], seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: Any
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[Row]:
     """What Model+HORDQ does with each of some `CHANGES`, as of `mario_hybrid.summary_row`.
 
     Ends after a row whose runs were interrupted. `options` are of `hrljax.sweep`.
@@ -93,7 +94,7 @@ def rows(
             return
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """The rows as text."""
     lines = [f"{'':30}{'levels finished':>16}{'distance':>10}{'steps':>9}"]
     for row in rows:

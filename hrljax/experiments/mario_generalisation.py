@@ -13,16 +13,17 @@ from jax import Array, lax
 from matplotlib.figure import Figure
 
 from hrljax import stats
+from hrljax.core.environment import Events
 from hrljax.core.numerics import opaque_zero
 from hrljax.engine import batch
-from hrljax.envs.mario.competition import begin
+from hrljax.envs.mario.competition import Episode, begin
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.experiments import mario_hybrid
-from hrljax.experiments.rows import interval_row
+from hrljax.experiments.rows import Row, interval_row
 from hrljax.learners.base import Context
-from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.learners.relational.learner import RelationalHORDQ, Tables
 from hrljax.sweeps.learned import Learned
 from hrljax.sweeps.sweep import sweep
 
@@ -71,7 +72,9 @@ def frozen(learner: RelationalHORDQ) -> RelationalHORDQ:
     return learner.replaced({"epsilon": 0.0, "step_size": 0.01})
 
 
-def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | None = None) -> dict[str, np.ndarray]:
+def play_levels(
+    env: Mario, learner: RelationalHORDQ, tables: Tables, cores: int | None = None
+) -> dict[str, np.ndarray]:
     """Plays every level once, without exploring or learning.
 
     Args:
@@ -85,13 +88,13 @@ def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | 
     """
     prepared, params = learner.prepare(env), env.default_params
 
-    def game(row: Any) -> dict[str, Array]:
+    def game(row: tuple[Array, Tables]) -> dict[str, Array]:
         level, tables = row
         zero = opaque_zero(level.astype(jnp.uint32))
         context = Context(jnp.int32(0), jnp.bool_(True), zero)
         words = (jnp.uint32(0),) * learner.num_begin_words
 
-        def step(carry: tuple[Any, Array, dict[str, Array]]) -> tuple[Any, Array, dict[str, Array]]:
+        def step(carry: tuple[Episode, Array, Events]) -> tuple[Episode, Array, Events]:
             state, _, sums = carry
             action = learner.action(learner.begin(prepared, tables, state, words, context))
             state, reward, terminated, info = env.transition(state, action, (), params)
@@ -114,7 +117,7 @@ def play_levels(env: Mario, learner: RelationalHORDQ, tables: Any, cores: int | 
 
 def trained_tables(
     level_set: LevelSet, learner: RelationalHORDQ, seeds: int, num_episodes: int, **options: Any
-) -> list[Any]:
+) -> list[Tables]:
     """What each seed has learned on a set of levels; `options` as of `hrljax.sweep`."""
     env = level_set.environment
     curves = sweep(env, learner, seeds=seeds, num_episodes=num_episodes, chunk_size=1, keep_learned=True, **options)
@@ -132,7 +135,7 @@ def rows(
     cores: int | None = None,
     key: int = 0,
     report: Callable[[str], None] = lambda _: None,
-) -> Iterator[list[dict[str, Any]]]:
+) -> Iterator[list[Row]]:
     """For the model alone and every set that is trained on, a row for every type and difficulty."""
     for name in (UNTRAINED, *trained_on):
         report(name)
@@ -148,7 +151,7 @@ def rows(
         yield list(_by_kind(name, played, by_level))
 
 
-def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:
+def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> Iterator[Row]:
     """A row for every type and difficulty, from arrays of seeds and levels."""
     kinds = np.array([kind[:2] for kind in played.table])
     for level_type in played.level_types:
@@ -168,7 +171,7 @@ def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> It
             }
 
 
-def table(rows: Sequence[dict[str, Any]], of: Literal["finished", "distance"] = "finished") -> str:
+def table(rows: Sequence[Row], of: Literal["finished", "distance"] = "finished") -> str:
     """Percent of levels finished, or mean distance: a line for every set that was trained on and every type."""
     difficulties = sorted({row["difficulty"] for row in rows})
     heads = "".join(f"{'d = ' + str(d):>8}" for d in difficulties)
@@ -184,11 +187,11 @@ def table(rows: Sequence[dict[str, Any]], of: Literal["finished", "distance"] = 
     return "\n".join(lines)
 
 
-def _shown(row: dict[str, Any], of: Literal["finished", "distance"]) -> float:
+def _shown(row: Row, of: Literal["finished", "distance"]) -> float:
     return 100 * row["finished"]["mean"] if of == "finished" else row["distance"]
 
 
-def picture(rows: Sequence[dict[str, Any]]) -> Figure:
+def picture(rows: Sequence[Row]) -> Figure:
     """Mean distance by type and difficulty, a panel for every set that was trained on."""
     names = list(dict.fromkeys(row["trained_on"] for row in rows))
     types, difficulties = (sorted({row[of] for row in rows}) for of in ("level_type", "difficulty"))

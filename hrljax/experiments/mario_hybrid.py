@@ -1,6 +1,7 @@
 """Infinite Mario by a model, by relational TD learning and by both (thesis Table 4.1 and Figure 4.5)."""
 
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,12 +19,13 @@ from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.play import Action, Policy, Step, play
-from hrljax.experiments.rows import interval_row
+from hrljax.experiments.rows import Row, interval_row
 from hrljax.learners.base import Context
 from hrljax.learners.hyperparameters import with_tabulated_schedules
 from hrljax.learners.relational.given_model import MarioDynamics
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
 from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.search.best_first import SearchResult
 from hrljax.sweeps.sweep import sweep
 
 PSEUDO_REWARDS = (0.0, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
@@ -93,7 +95,7 @@ def run(
         yield {BEST_NAME: sweep(env, BEST, **common)}
 
 
-def summary_row(name: str, dataset: xr.Dataset) -> dict[str, Any]:
+def summary_row(name: str, dataset: xr.Dataset) -> Row:
     """What one method did: levels finished in all episodes of a run, and how far it came."""
     episodes = dataset.sizes["episode"]
     per_run = dataset["win"].sum("episode", skipna=False)
@@ -111,7 +113,7 @@ def summary_row(name: str, dataset: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """The rows as text."""
     lines = [f"{'':22}{'levels finished':>16}  {'95 %':>15}{'thesis':>8}{'distance':>10}{'return':>9}{'steps':>9}"]
     for row in rows:
@@ -135,7 +137,7 @@ def distance_picture(curves: dict[str, xr.Dataset]) -> Figure:
     return figure
 
 
-def counts_picture(rows: list[dict[str, Any]]) -> Figure:
+def counts_picture(rows: list[Row]) -> Figure:
     """Levels finished against the pseudo-reward, with the thesis's two."""
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     ax = figure.subplots()
@@ -167,7 +169,7 @@ class Agent:
             context = Context(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
             return settled.begin(prepared, tables, episode, (word,), context).action
 
-        def search(tables: Tables, episode: Episode) -> Any:
+        def search(tables: Tables, episode: Episode) -> SearchResult:
             assert learner.root is not None
             return learner.root.search(env, tables.root, episode)
 
@@ -209,7 +211,7 @@ def _place(steps: list[Step]) -> float:
     return float(steps[-1].episode.world.player.x)
 
 
-def film(agent: Agent, steps: list[Step], path: Any) -> None:
+def film(agent: Agent, steps: list[Step], path: str | Path) -> None:
     """A GIF of a game, one picture every second tick."""
     worlds = [world for step in steps for world in step.worlds][::2]
     picture.save_gif((picture.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)

@@ -5,13 +5,13 @@ The level has no monsters, so the given model is exact and whatever goes wrong i
 
 import itertools
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.experiments.mario_hybrid import FOLLOWS, environment
+from hrljax.experiments.rows import Row
 from hrljax.learners.relational.given_model import MarioDynamics
 from hrljax.learners.relational.learner import RelationalHORDQ
 from hrljax.learners.relational.search_root import SearchRoot
@@ -28,7 +28,7 @@ def empty_level() -> Mario:
     return Mario(levels=(to_ascii(level._replace(spawns=np.zeros_like(level.spawns))),), preset="thesis")
 
 
-def settings(more_nodes: Iterable[int]) -> Iterator[dict[str, Any]]:
+def settings(more_nodes: Iterable[int]) -> Iterator[Row]:
     """The thesis's 300 nodes in all readings of its text, then more nodes as it is read by default."""
     for priority, answer, count in itertools.product(
         ("cumulative", "last_reward"), ("any", "leaf"), ("generated", "expanded")
@@ -38,9 +38,7 @@ def settings(more_nodes: Iterable[int]) -> Iterator[dict[str, Any]]:
         yield {"priority": "cumulative", "answer": "any", "count": "generated", "max_nodes": max_nodes}
 
 
-def rows(
-    of: Iterable[dict[str, Any]], stops: tuple[float, ...] = STOPS, cores: int | None = None
-) -> Iterator[list[dict[str, Any]]]:
+def rows(of: Iterable[Row], stops: tuple[float, ...] = STOPS, cores: int | None = None) -> Iterator[list[dict]]:
     """For every setting a game for every reward at which a search stops; there is no randomness in it.
 
     After an interrupt only games that were finished.

@@ -9,12 +9,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hrljax import plots, stats
+from hrljax.core.environment import Numbers
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid import cell_render
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
-from hrljax.experiments.rows import interval_row
+from hrljax.experiments.rows import Row, interval_row
 from hrljax.hierarchy import drawing
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover
 from hrljax.hierarchy.tables import tabulate
@@ -50,7 +51,7 @@ class Domain:
     learners: dict[str, AnyLearner]
 
     @property
-    def params(self) -> Any:
+    def params(self) -> Numbers:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
 
@@ -123,7 +124,7 @@ def run(domain: Domain, seeds: int, scale: float, cores: int | None, key: int) -
             return
 
 
-def summary_row(domain: Domain, name: str, dataset: xr.Dataset) -> dict[str, Any]:
+def summary_row(domain: Domain, name: str, dataset: xr.Dataset) -> Row:
     """What one learner reached: online in the last eighth of the run, greedily (exact) at its end."""
     episodes = int(dataset["episode"].values[-1])
     online = stats.mean_interval(stats.episode_range(dataset["return"], episodes - episodes // 8, episodes))
@@ -141,7 +142,7 @@ def summary_row(domain: Domain, name: str, dataset: xr.Dataset) -> dict[str, Any
     }
 
 
-def exact_row(domain: Domain, optima: Optima) -> dict[str, Any]:
+def exact_row(domain: Domain, optima: Optima) -> Row:
     """The exact values of a domain, and where its hierarchy misses the condition of Theorem 2."""
     hierarchy = domain.env.hierarchy()
     tables = tabulate(hierarchy, domain.env)
@@ -157,7 +158,7 @@ def exact_row(domain: Domain, optima: Optima) -> dict[str, Any]:
     }
 
 
-def table(exact_rows: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
+def table(exact_rows: list[Row], rows: list[Row]) -> str:
     """Exact values and what was reached, as text."""
     lines = ["expected return   optimal  hierarchically  recursively optimal"]
     for row in exact_rows:

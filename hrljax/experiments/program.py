@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import NoReturn, TypeVar
 
 import tyro
 
@@ -64,7 +64,7 @@ def require(extra: str, *packages: str) -> None:
         sys.exit(2)
 
 
-def check_counts(options: Any, *names: str) -> None:
+def check_counts(options: object, *names: str) -> None:
     """Checks options that are counts, and ``key`` and ``cores`` where there are such.
 
     Raises:
@@ -79,7 +79,7 @@ def check_counts(options: Any, *names: str) -> None:
         checks.integer(f"--{name.replace('_', '-')}", getattr(options, name), smallest)
 
 
-def write_summary(out: Path, summary: Any) -> None:
+def write_summary(out: Path, summary: object) -> None:
     """Writes ``summary.json``."""
     (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
 

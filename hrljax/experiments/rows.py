@@ -1,11 +1,15 @@
 """What all experiments write: intervals for JSON, curves as comma-separated values."""
 
 from collections.abc import Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
 
 from hrljax import stats
+
+Row: TypeAlias = dict[str, Any]
+"""A row of a table and of summary.json: numbers and text by name, and intervals as `interval_row` gives them."""
 
 
 def interval_row(interval: xr.Dataset) -> dict[str, float | None]:

@@ -6,28 +6,35 @@ t from ``fold_in(key, t)``, so that an environment alone and in a batch goes thr
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.environment import EpisodeState, Numbers
 from hrljax.envs.base import AnyEnvironment, Environment, numbers_of
 from hrljax.envs.registry import make
 
 Env = AnyEnvironment
+Observation: TypeAlias = Any
+"""What an agent sees: an array, or a tree of them, as the environment's space says."""
+Step: TypeAlias = tuple[Any, ...]
+"""Observation, state, reward, terminated, truncated, info."""
+Params: TypeAlias = "Mapping[str, float] | Numbers | None"
+"""Numbers of an environment as users give them: some as a mapping, or all as a NamedTuple."""
 
 
 class Batch(NamedTuple):
     """N episodes."""
 
     key: Array  # [N, 2] uint32
-    state: Any  # every leaf [N, ...]
-    observation: Any  # every leaf [N, ...]
+    state: EpisodeState  # every leaf [N, ...]
+    observation: Observation  # every leaf [N, ...]
 
 
-def made(environment: str | Env, params: Any, options: Mapping[str, Any]) -> tuple[Env, Any]:
+def made(environment: str | Env, params: Params, options: Mapping[str, object]) -> tuple[Env, Numbers]:
     """An environment and its numbers.
 
     Args:
@@ -46,9 +53,9 @@ def made(environment: str | Env, params: Any, options: Mapping[str, Any]) -> tup
         env = make(environment, **options)
     if isinstance(params, Mapping):
         numbers = env.default_params
-        if unknown := set(params) - set(numbers._fields):
+        if unknown := set(params) - set(numbers._asdict()):
             names = ", ".join(sorted(unknown))
-            raise ValueError(f"params of {env.name} must be among {', '.join(numbers._fields)}, got {names}")
+            raise ValueError(f"params of {env.name} must be among {', '.join(numbers._asdict())}, got {names}")
         params = numbers._replace(**params)
     return env, numbers_of(env, params)
 
@@ -62,11 +69,11 @@ def _nth_key(key: Array, n: Array | int) -> Array:
     return jax.random.fold_in(jax.random.wrap_key_data(key, impl="threefry2x32"), n)
 
 
-def _begin(env: Env, params: Any, key: Array) -> tuple[Any, Any]:
+def _begin(env: Env, params: Numbers, key: Array) -> tuple[Observation, EpisodeState]:
     return env.reset(_nth_key(key, 0), params)
 
 
-def _advance(env: Env, params: Any, key: Array, state: Any, action: Array) -> tuple[Any, ...]:
+def _advance(env: Env, params: Numbers, key: Array, state: EpisodeState, action: Array) -> Step:
     return env.step(_nth_key(key, state.time + 1), state, action, params)
 
 
@@ -76,12 +83,12 @@ advance = jax.jit(_advance, static_argnums=(0, 1))
 """``obs, state, reward, terminated, truncated, info`` of one step of an episode with a key."""
 
 
-def _begin_all(env: Env, params: Any, keys: Array) -> Batch:
+def _begin_all(env: Env, params: Numbers, keys: Array) -> Batch:
     observation, state = jax.vmap(partial(_begin, env, params))(keys)
     return Batch(keys, state, observation)
 
 
-def _begin_some(env: Env, params: Any, batch: Batch, which: Array, keys: Array) -> Batch:
+def _begin_some(env: Env, params: Numbers, batch: Batch, which: Array, keys: Array) -> Batch:
     def pick(new: Array, old: Array) -> Array:
         return jnp.where(which.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
 
@@ -89,8 +96,8 @@ def _begin_some(env: Env, params: Any, batch: Batch, which: Array, keys: Array) 
 
 
 def _advance_all(
-    env: Env, params: Any, same_step: bool, batch: Batch, actions: Array, pending: Array, keys: Array
-) -> tuple[Batch, Any, Array, Array, Array, dict[str, Array]]:
+    env: Env, params: Numbers, same_step: bool, batch: Batch, actions: Array, pending: Array, keys: Array
+) -> tuple[Batch, Observation, Array, Array, Array, dict[str, Array]]:
     one = jax.vmap(partial(_advance, env, params))
     observation, state, reward, terminated, truncated, info = one(batch.key, batch.state, actions)
     after = Batch(batch.key, state, observation)

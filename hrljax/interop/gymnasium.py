@@ -18,11 +18,12 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from hrljax.core import checks
+from hrljax.core.environment import EpisodeState
 from hrljax.envs.base import AnyEnvironment, check_render_mode
 from hrljax.envs.numpy_values import METADATA, as_element, as_python, metadata_of
 from hrljax.interop import episodes
 from hrljax.interop.gymnasium_table import from_table
-from hrljax.interop.gymnasium_vector import BatchedEnv
+from hrljax.interop.gymnasium_vector import BatchedEnv, Info
 
 __all__ = ["BatchedEnv", "SingleEnv", "from_table"]
 
@@ -49,9 +50,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         self,
         environment: str | AnyEnvironment,
         *,
-        params: Mapping[str, float] | Any = None,
+        params: episodes.Params = None,
         render_mode: str | None = None,
-        **options: Any,
+        **options: object,
     ):
         self.environment, self.params = episodes.made(environment, params, options)
         if render_mode is not None:
@@ -60,12 +61,14 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         self.metadata = metadata_of(self.environment)
         self.observation_space = self.environment.observation_space
         self.action_space = self.environment.action_space
-        self.state: Any = None
+        self.state: EpisodeState | None = None
         """The environment's own state, None before the first `reset`."""
-        self._key: Any = None
+        self._key: jax.Array | None = None
         self._goes_on = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[episodes.Observation, Info]:
         """Starts an episode: observation and an empty info.
 
         Raises:
@@ -80,7 +83,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         self._goes_on = True
         return as_element(self.observation_space, observation), {}
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: object) -> tuple[episodes.Observation, float, bool, bool, Info]:
         """Takes one step. The info has the environment's events (`Environment.metrics`).
 
         Raises:
@@ -97,7 +100,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         events = {name: as_python(value) for name, value in info.items()}
         return as_element(self.observation_space, observation), float(reward), bool(terminated), bool(truncated), events
 
-    def render(self) -> Any:
+    def render(self) -> str | np.ndarray | None:
         """The picture of the state in the environment's `render_mode`."""
         if self.render_mode is None:
             gymnasium.logger.warn("render needs a render_mode, for example gymnasium.make(id, render_mode='ansi')")

@@ -1,7 +1,7 @@
 """Gymnasium's vector environment on the batched step."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium
 import jax
@@ -10,11 +10,16 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike
 
 from hrljax.core import checks
 from hrljax.envs.base import AnyEnvironment, check_render_mode
 from hrljax.envs.numpy_values import METADATA, as_element, entry, metadata_of, widened
 from hrljax.interop import episodes
+from hrljax.interop.episodes import Observation
+
+Info: TypeAlias = dict[str, Any]
+"""What Gymnasium's environments tell of a step besides: arrays by name, and the masks of those that have them."""
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
@@ -47,11 +52,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
         environment: str | AnyEnvironment,
         num_envs: int = 1,
         *,
-        params: Mapping[str, float] | Any = None,
+        params: episodes.Params = None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
-        **options: Any,
+        **options: object,
     ):
         num_envs = checks.integer("num_envs", num_envs, 1)
         self.environment, numbers = episodes.made(environment, params, options)
@@ -85,7 +90,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    ) -> tuple[Observation, Info]:
         """Starts episodes, in all environments or in those of ``options["reset_mask"]`` (``[num_envs]`` bool).
 
         Args:
@@ -118,7 +123,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
         self._ended = self._ended & ~mask
         return self._observation(), {}
 
-    def _reset_mask(self, options: Mapping[str, Any]) -> np.ndarray:
+    def _reset_mask(self, options: Mapping[str, object]) -> np.ndarray:
         if unknown := set(options) - {"reset_mask"}:
             raise ValueError(f"options must be empty or have reset_mask, got {', '.join(sorted(unknown))}")
         if "reset_mask" not in options:
@@ -132,7 +137,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
             raise ResetNeeded("reset all environments before you reset some")
         return mask.copy()
 
-    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, Info]:
         """Takes a step in every environment, or begins an episode, as the autoreset mode says.
 
         Raises:
@@ -160,7 +165,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
         self._draw_next_keys(self._ended if is_same_step else pending)
         return self._observation(), np.where(stepped, widened(reward), 0.0), terminated, truncated, infos
 
-    def _actions(self, actions: Any) -> np.ndarray:
+    def _actions(self, actions: ArrayLike) -> np.ndarray:
         array, most = np.asarray(actions), self.environment.num_actions - 1
         if array.shape != (self.num_envs,) or array.dtype.kind not in "iu":
             raise ValueError(f"actions must be {self.num_envs} integers, got {array.dtype} of shape {array.shape}")
@@ -172,20 +177,20 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
         for i in np.flatnonzero(which).tolist():
             self._next_keys[i] = episodes.draw_key(self._generators[i][0])
 
-    def _observation(self) -> Any:
+    def _observation(self) -> Observation:
         assert self._batch is not None
         return as_element(self.observation_space, jax.device_get(self._batch.observation))
 
-    def _infos(self, info: dict[str, np.ndarray], which: np.ndarray) -> dict[str, Any]:
+    def _infos(self, info: dict[str, np.ndarray], which: np.ndarray) -> Info:
         """Infos of a step in the environments `which`, each with the mask of those that have it."""
-        infos: dict[str, Any] = {}
+        infos: Info = {}
         for name, values in info.items() if which.any() else ():
             wide = widened(values)
             wide[~which] = 0
             infos |= {name: wide, f"_{name}": which.copy()}
         return infos
 
-    def _final(self, observation: Any, info: dict[str, np.ndarray]) -> dict[str, Any]:
+    def _final(self, observation: Observation, info: dict[str, np.ndarray]) -> Info:
         """The last observation and info of the episodes that have just ended."""
         last, ended = jax.device_get(observation), self._ended
         final_obs = np.full(self.num_envs, None, object)
@@ -198,7 +203,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, np.ndarray]):
             "_final_info": ended.copy(),
         }
 
-    def render(self) -> tuple[Any, ...] | None:
+    def render(self) -> tuple[str | np.ndarray, ...] | None:
         """The pictures of all states in the environment's `render_mode`."""
         if self.render_mode is None:
             gymnasium.logger.warn("render needs a render_mode, for example make_vec(id, render_mode='ansi')")

@@ -16,9 +16,10 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from hrljax.core import checks
+from hrljax.core.environment import EpisodeState, Numbers
 from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, check_options, concrete_number
-from hrljax.interop.episodes import made
-from hrljax.interop.gymnax_spaces import box_of_ones, gymnax_space
+from hrljax.interop.episodes import Observation, Step, made
+from hrljax.interop.gymnax_spaces import Space, box_of_ones, gymnax_space
 
 __all__ = ["GymnaxEnvironment", "GymnaxParams", "make"]
 
@@ -31,10 +32,10 @@ class GymnaxParams:
     Every number is an attribute, and ``max_steps_in_episode`` is another name of ``max_steps``.
     """
 
-    numbers: Any
+    numbers: Numbers
 
     @property
-    def max_steps_in_episode(self) -> Any:
+    def max_steps_in_episode(self) -> int:
         """After so many steps, an episode is truncated."""
         return self.numbers.max_steps
 
@@ -47,9 +48,9 @@ class GymnaxParams:
         """
         if "max_steps_in_episode" in changes:
             changes["max_steps"] = changes.pop("max_steps_in_episode")
-        if unknown := set(changes) - set(self.numbers._fields):
+        if unknown := set(changes) - set(self.numbers._asdict()):
             names = ", ".join(sorted(unknown))
-            raise ValueError(f"params must be among {', '.join(self.numbers._fields)}, got {names}")
+            raise ValueError(f"params must be among {', '.join(self.numbers._asdict())}, got {names}")
         for name, value in changes.items():
             if np.ndim(value) == 0:  # arrays are for `jax.vmap`, which gives one of their entries to each environment
                 concrete_number(name, value)
@@ -106,12 +107,12 @@ class GymnaxEnvironment:
         return GymnaxParams(self.environment.default_params)
 
     @partial(jax.jit, static_argnames=("self",))
-    def reset(self, key: Array, params: GymnaxParams | None = None) -> tuple[Any, Any]:
+    def reset(self, key: Array, params: GymnaxParams | None = None) -> tuple[Observation, EpisodeState]:
         """Starts an episode: observation and state."""
         return self.reset_env(key, params)
 
     @partial(jax.jit, static_argnames=("self",))
-    def step(self, key: Array, state: Any, action: Any, params: GymnaxParams | None = None) -> tuple[Any, ...]:
+    def step(self, key: Array, state: EpisodeState, action: Array | int, params: GymnaxParams | None = None) -> Step:
         """Takes a step, and begins a new episode where one is over.
 
         The info has the environment's events (`Environment.metrics`), ``terminated``, ``truncated``
@@ -129,12 +130,14 @@ class GymnaxEnvironment:
         info["discount"] = 1 - terminated.astype(jnp.float32)
         return obs, state, reward, done, info
 
-    def reset_env(self, key: Array, params: GymnaxParams | None = None) -> tuple[Any, Any]:
+    def reset_env(self, key: Array, params: GymnaxParams | None = None) -> tuple[Observation, EpisodeState]:
         """As `reset`."""
         _, state = self.environment.reset(_new_style(key), self._numbers(params))
         return self.get_obs(state), state
 
-    def step_env(self, key: Array, state: Any, action: Any, params: GymnaxParams | None = None) -> tuple[Any, ...]:
+    def step_env(
+        self, key: Array, state: EpisodeState, action: Array | int, params: GymnaxParams | None = None
+    ) -> Step:
         """One step without auto-reset: ``obs, state, reward, ended, info``.
 
         ``ended`` is `terminated` as in gymnax 1.0, or `done` (terminated or truncated) with 5 values.
@@ -142,41 +145,43 @@ class GymnaxEnvironment:
         obs, state, reward, terminated, truncated, events = self._native_step(key, state, action, params)
         return obs, state, reward, terminated if self.step_values == 6 else terminated | truncated, events
 
-    def _native_step(self, key: Array, state: Any, action: Any, params: GymnaxParams | None) -> tuple[Any, ...]:
+    def _native_step(self, key: Array, state: EpisodeState, action: Array | int, params: GymnaxParams | None) -> Step:
         _, after, *outcome = self.environment.step(_new_style(key), state, action, self._numbers(params))
         return self.get_obs(after), after, *outcome
 
-    def get_obs(self, state: Any, params: GymnaxParams | None = None, key: Array | None = None) -> Any:
+    def get_obs(self, state: EpisodeState, params: GymnaxParams | None = None, key: Array | None = None) -> Observation:
         """What an agent sees of a state."""
         observation = self.environment.observation(state)
         if not isinstance(self.environment, TabularEnvironment) or not self.one_hot:
             return observation
         return (jnp.arange(self.environment.num_states, dtype=jnp.int32) == observation).astype(jnp.float32)
 
-    def observe(self, key: Array, state: Any, action: Any, params: GymnaxParams | None = None) -> Any:
+    def observe(
+        self, key: Array, state: EpisodeState, action: Array | int, params: GymnaxParams | None = None
+    ) -> Observation:
         """As `get_obs`, with gymnax 1.0's arguments."""
         return self.get_obs(state)
 
-    def is_truncated(self, state: Any, params: GymnaxParams | None = None) -> Array:
+    def is_truncated(self, state: EpisodeState, params: GymnaxParams | None = None) -> Array:
         """Whether the limit of steps is reached."""
         return state.time >= self._numbers(params).max_steps
 
-    def action_space(self, params: GymnaxParams | None = None) -> Any:
+    def action_space(self, params: GymnaxParams | None = None) -> Space:
         """gymnax's space of actions."""
         return gymnax_space(self.environment.action_space)
 
-    def observation_space(self, params: GymnaxParams | None = None) -> Any:
+    def observation_space(self, params: GymnaxParams | None = None) -> Space:
         """gymnax's space of observations."""
         if isinstance(self.environment, TabularEnvironment) and self.one_hot:
             return box_of_ones(self.environment.num_states)
         return gymnax_space(self.environment.observation_space)
 
-    def _numbers(self, params: GymnaxParams | None) -> Any:
+    def _numbers(self, params: GymnaxParams | None) -> Numbers:
         """The environment's numbers; traced ones as float32, and int32 for the limit of steps."""
         params = self.default_params if params is None else params
         checks.instance("params", params, GymnaxParams, "GymnaxParams such as env.default_params.replace(max_steps=5)")
         numbers = params.numbers
-        dtypes = {name: jnp.int32 if name == "max_steps" else jnp.float32 for name in numbers._fields}
+        dtypes = {name: jnp.int32 if name == "max_steps" else jnp.float32 for name in numbers._asdict()}
         traced = {name: value for name, value in numbers._asdict().items() if isinstance(value, Tracer)}
         return numbers._replace(**{name: jnp.asarray(value, dtypes[name]) for name, value in traced.items()})
 
@@ -186,7 +191,7 @@ def make(
     *,
     one_hot: bool = False,
     step_values: Literal[5, 6] = 6,
-    params: Mapping[str, float] | Any = None,
+    params: Mapping[str, float] | Numbers | None = None,
     **options: Any,
 ) -> tuple[GymnaxEnvironment, GymnaxParams]:
     """An environment and its numbers, as ``gymnax.make`` returns them.

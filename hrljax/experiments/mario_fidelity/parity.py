@@ -1,6 +1,6 @@
 """Comparison of the engine with recordings of the original program, field by field, bit by bit."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -56,7 +56,7 @@ class TickRecord(NamedTuple):
 
     player: Player
     sprites: Sprites
-    counts: dict[str, Any]
+    counts: dict[str, Array]
     tiles: Array
 
 
@@ -83,7 +83,7 @@ def _play(course: Course, world: World, keys: Array, quantum: int | None) -> tup
 
 
 @lru_cache
-def _compiled(quantum: int | None) -> Any:
+def _compiled(quantum: int | None) -> Callable[..., tuple[World, TickRecord]]:
     return jax.jit(partial(_play, quantum=quantum), compiler_options=nested_options())
 
 
@@ -175,7 +175,7 @@ def compare_trajectory(course: Course, index: int, trajectory: Trajectory) -> Ve
     return Verdict(identical, trajectory.num_ticks, text)
 
 
-def _name(case: Any) -> str:
+def _name(case: recordings.Trajectory | recordings.Episode) -> str:
     i = case.id
     return f"{case.agent} on level seed {i.seed}, type {i.level_type}, difficulty {i.difficulty}, width {i.width}"
 
@@ -292,7 +292,7 @@ def _play_steps(course: Course, episode: Episode, keys: Array, max_steps: Array)
 
 
 @lru_cache
-def _compiled_steps() -> Any:
+def _compiled_steps() -> Callable[..., tuple[Episode, StepRecord]]:
     return jax.jit(_play_steps, compiler_options=nested_options())
 
 
