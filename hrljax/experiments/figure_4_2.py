@@ -15,7 +15,7 @@ from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.envs.bus.map import KAO_V1
 from hrljax.experiments.backup import PseudoRewardInBackup
 from hrljax.experiments.rows import Row, interval_row
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.learners.roots.model import ModelRoot

@@ -14,7 +14,7 @@ from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
 from hrljax.experiments.rows import Row, interval_row
-from hrljax.learners.base import Learner
+from hrljax.learners.base import AnyLearner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration

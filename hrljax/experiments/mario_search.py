@@ -38,7 +38,7 @@ def settings(more_nodes: Iterable[int]) -> Iterator[Row]:
         yield {"priority": "cumulative", "answer": "any", "count": "generated", "max_nodes": max_nodes}
 
 
-def rows(of: Iterable[Row], stops: tuple[float, ...] = STOPS, cores: int | None = None) -> Iterator[list[dict]]:
+def rows(of: Iterable[Row], stops: tuple[float, ...] = STOPS, cores: int | None = None) -> Iterator[list[Row]]:
     """For every setting a game for every reward at which a search stops; there is no randomness in it.
 
     After an interrupt only games that were finished.
@@ -69,7 +69,7 @@ def table_head() -> str:
     return f"{'priority':12} {'answer':7} {'nodes':>6} {'counted':10} {'stop':>5}  {'distance':>8} {'steps':>6}"
 
 
-def table_line(row: dict[str, Any]) -> str:
+def table_line(row: Row) -> str:
     stop = "-" if row["stop_reward"] is None else f"{row['stop_reward']:g}"
     return (
         f"{row['priority']:12} {row['answer']:7} {row['max_nodes']:6} {row['count']:10} {stop:>5}  "
