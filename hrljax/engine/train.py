@@ -46,10 +46,10 @@ def train(
         TypeError, ValueError: a bad argument, or an environment that is not as `hrljax.check` wants it;
             before anything is compiled.
     """
-    return run(env, learner, key, num_episodes, params, bin_size, evaluate_every, start)
+    return run_once(env, learner, key, num_episodes, params, bin_size, evaluate_every, start)
 
 
-def run(
+def run_once(
     env: AnyEnvironment,
     learner: AnyLearner,
     key: Array,

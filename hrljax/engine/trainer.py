@@ -165,11 +165,7 @@ class Trainer:
         interval = self.learner.planning_interval
         if interval:
             context = Context(loop.episode, jnp.bool_(True), _zero(loop), self.vmapped)
-            tables = context.when(
-                loop.episode % interval == 0,
-                self._planned,
-                loop.learner.tables,
-            )
+            tables = context.when(loop.episode % interval == 0, self._planned, loop.learner.tables)
             loop = loop._replace(learner=loop.learner._replace(tables=tables))
             end = jnp.minimum(end, (loop.episode // interval + 1) * interval)
         progress = progress._replace(loop=loop)

@@ -14,9 +14,10 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import choices
+from hrljax.core.environment import AnyTabularDynamics
 from hrljax.core.numerics import take
 from hrljax.hierarchy.definition import Hierarchy
-from hrljax.hierarchy.tables import NumberedStates, tabulate
+from hrljax.hierarchy.tables import tabulate
 
 T = TypeVar("T")
 
@@ -152,7 +153,7 @@ class StackLayout:
         return action, task
 
 
-def stack_layout(hierarchy: Hierarchy, env: NumberedStates, root_learns: bool) -> StackLayout:
+def stack_layout(hierarchy: Hierarchy, env: AnyTabularDynamics, root_learns: bool) -> StackLayout:
     """The graph of the subtasks that learn: all, or all but the root.
 
     Raises:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from hrljax.core.environment import AnyTabularDynamics
 from hrljax.hierarchy.definition import Hierarchy, Subtask
 from hrljax.hierarchy.layout import StackLayout, stack_layout
-from hrljax.hierarchy.tables import NumberedStates
 
 
 class HierarchicalPolicy(NamedTuple):
@@ -18,7 +18,7 @@ class HierarchicalPolicy(NamedTuple):
     choice: Array | None  # [S, T] float32: probabilities that a root that does not learn invokes each subtask
 
 
-def flat_policy(env: NumberedStates, actions: Array) -> HierarchicalPolicy:
+def flat_policy(env: AnyTabularDynamics, actions: Array) -> HierarchicalPolicy:
     """The policy without subtasks that takes ``actions[s]`` (int32 ``[S]``) in state s."""
     root = Subtask("Root", env.action_names, lambda state: jnp.bool_(False))
     layout = stack_layout(Hierarchy(env.action_names, [root]), env, root_learns=True)

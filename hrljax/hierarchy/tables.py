@@ -2,31 +2,16 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hrljax.core import checks, contract
+from hrljax.core.environment import AnyTabularDynamics, TabularDynamics
 from hrljax.core.tracing_errors import explain_tracing
 from hrljax.hierarchy.definition import Hierarchy, Predicate, Subtask
-
-
-@runtime_checkable
-class NumberedStates(Protocol):
-    """What a hierarchy asks of an environment: its actions, and states that have numbers."""
-
-    name: ClassVar[str]
-    action_names: ClassVar[tuple[str, ...]]
-
-    @property
-    def num_states(self) -> int: ...
-
-    @property
-    def num_actions(self) -> int: ...
-
-    def decode(self, index: jax.Array) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +29,7 @@ class TaskTables:
         return self.active.shape[0]
 
 
-def over_states(function: Predicate, env: NumberedStates, what: str, kinds: Any, kind: str) -> np.ndarray:
+def over_states(function: Predicate, env: AnyTabularDynamics, what: str, kinds: Any, kind: str) -> np.ndarray:
     """The value of a function of one state at every state number, ``[S]``.
 
     Args:
@@ -69,12 +54,12 @@ def over_states(function: Predicate, env: NumberedStates, what: str, kinds: Any,
         return np.asarray(jax.vmap(at)(jnp.arange(env.num_states, dtype=jnp.int32)))
 
 
-def _terminated(task: Subtask, env: NumberedStates) -> np.ndarray:
+def _terminated(task: Subtask, env: AnyTabularDynamics) -> np.ndarray:
     """``[S]`` bool: where a subtask is terminated."""
     return over_states(task.termination, env, f"subtask {task.name!r}: termination", (np.bool_,), "one bool")
 
 
-def _goal(task: Subtask, env: NumberedStates) -> np.ndarray:
+def _goal(task: Subtask, env: AnyTabularDynamics) -> np.ndarray:
     """``[S]`` float32: the factor of a subtask's pseudo-reward."""
     if task.goal is None:
         return np.zeros(env.num_states, np.float32)
@@ -87,7 +72,7 @@ def _goal(task: Subtask, env: NumberedStates) -> np.ndarray:
     return goal
 
 
-def parts_of_states(task: Subtask, env: NumberedStates) -> list[np.ndarray]:
+def parts_of_states(task: Subtask, env: AnyTabularDynamics) -> list[np.ndarray]:
     """Numbers of the two parts of every state, planning and environment, ``[S]`` each; none without an abstraction."""
     parts = {} if task.abstraction is None else task.abstraction._asdict()
     return [
@@ -96,7 +81,7 @@ def parts_of_states(task: Subtask, env: NumberedStates) -> list[np.ndarray]:
     ]
 
 
-def state_in_words(env: NumberedStates, state: int) -> str:
+def state_in_words(env: AnyTabularDynamics, state: int) -> str:
     """A state with its number, for messages."""
     with jax.ensure_compile_time_eval():
         fields = jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), contract.decode(env, jnp.int32(state)))
@@ -104,7 +89,7 @@ def state_in_words(env: NumberedStates, state: int) -> str:
 
 
 @lru_cache(maxsize=64)
-def tabulate(hierarchy: Hierarchy, env: NumberedStates) -> TaskTables:
+def tabulate(hierarchy: Hierarchy, env: AnyTabularDynamics) -> TaskTables:
     """Evaluates a hierarchy's predicates at every state.
 
     Raises:
@@ -113,7 +98,7 @@ def tabulate(hierarchy: Hierarchy, env: NumberedStates) -> TaskTables:
             an active subtask has no child to invoke in some state. The message names the subtask.
     """
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
-    checks.instance("env", env, NumberedStates, "a tabular environment such as hrljax.make('Bus')")
+    checks.instance("env", env, TabularDynamics, "a tabular environment such as hrljax.make('Bus')")
     if hierarchy.actions != env.action_names:
         raise ValueError(f"the hierarchy is over actions {hierarchy.actions}, {env.name} has {env.action_names}")
     if len(hierarchy.subtasks) > 32:

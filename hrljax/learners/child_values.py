@@ -74,7 +74,7 @@ class ChildValues(Learner[Prepared, Tables, Control], Generic[Prepared, Tables, 
         """The values of the child in one slot of a row."""
         # Read again: to choose among values that are at hand takes longer.
         size = self._size
-        stored = take_row(table, layout.start(task, state, size) + slot * size, size)
+        stored = take_row(table, layout.start_of_child(task, state, slot, size), size)
         earned = stored[0] if children.is_primitive else choices.pick([q[0] for q in row.values], slot)
         return type(row.values[0])(earned, *(stored[i] for i in range(1, size)))
 

@@ -103,8 +103,8 @@ def estimate(
         mapping=mapping,
     )
     length, chunks = request.chunks(cores, chunk_size, portable=store or workers is not None)
-    in_lockstep, num_runs = request.mapping == "vmap", request.grid.num_runs
-    at_once = min(workers or (1 if in_lockstep else cores or batch.usable_cores()), len(chunks))
+    is_vmapped, num_runs = request.mapping == "vmap", request.grid.num_runs
+    at_once = min(workers or (1 if is_vmapped else cores or batch.usable_cores()), len(chunks))
     measured = _Measured(request, length)
     seconds_per_chunk = measured.chunk_seconds(request.job, length)
     tables = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(learned_shapes(env, learner)))
@@ -115,7 +115,7 @@ def estimate(
         runs_per_chunk=length,
         at_once=at_once,
         result_bytes=num_runs * sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in variables),
-        working_bytes=at_once * tables * (length if in_lockstep else 1),
+        working_bytes=at_once * tables * (length if is_vmapped else 1),
         steps=num_runs * float(measured.steps_per_run(num_episodes).mean()),
         seconds_per_chunk=seconds_per_chunk,
         compile_seconds=measured.compile_seconds,
@@ -128,10 +128,10 @@ class _Measured:
 
     def __init__(self, request: SweepRequest, length: int):
         grid, job = request.grid, request.job
-        self.lockstep = request.mapping == "vmap"
+        self.is_vmapped = request.mapping == "vmap"
         points = grid.num_runs // grid.seeds
         few = np.unique(np.linspace(0, points - 1, min(points, _POINTS)).astype(int)) * grid.seeds
-        index = np.arange(length) if self.lockstep else few
+        index = np.arange(length) if self.is_vmapped else few
         self.rows = jax.tree.map(lambda a: a[index], request.rows)
         self.count, self.episodes = len(index), min(job.num_episodes, _EPISODES)
         size = -(-self.episodes // _BINS)
@@ -166,7 +166,7 @@ class _Measured:
         whole = self.steps_per_run(job.num_episodes)
         evaluations = 0 if job.evaluate_every is None else -(-job.num_episodes // job.bin_size) // job.evaluate_every
         evaluating = evaluations * self.evaluation_seconds
-        if self.lockstep:
+        if self.is_vmapped:
             return self.seconds * float(whole.max() / self.steps.max()) + evaluating
         return length * (self.seconds * float(whole.sum() / self.steps.sum()) + evaluating) / self.count
 

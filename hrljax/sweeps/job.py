@@ -17,7 +17,7 @@ from hrljax.core import forks, interrupts
 from hrljax.core.environment import Numbers
 from hrljax.engine import batch
 from hrljax.engine.start import Start, named_leaves, steps_of
-from hrljax.engine.train import run as run_once
+from hrljax.engine.train import run_once
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.axes import of_env, of_learner

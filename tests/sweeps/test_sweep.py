@@ -14,7 +14,7 @@ import xarray as xr
 
 import hrljax
 from hrljax.engine import batch
-from hrljax.engine.train import run as run_once
+from hrljax.engine.train import run_once
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.envs.grid.maze import Maze
 from tests.maps import SMALL
