@@ -16,17 +16,17 @@ PARAMS = SMALL.default_params._replace(max_steps=50)
 OPTIONS: dict[str, Any] = {"seeds": 3, "num_episodes": 12, "bin_size": 4, "params": PARAMS, "progress": False}
 
 
+@pytest.mark.parametrize("old", [0.0, 20.0])
 @pytest.mark.parametrize("learner", [hrljax.QLearning, hrljax.SARSA])
-def test_a_step_reports_its_td_error(learner: Any):
+def test_a_step_reports_its_absolute_td_error(learner: Any, old: float):
     reporting = learner(step_size=0.5, discount=0.5, epsilon=0.0, report_td_error=True)
     state = reporting.init(SMALL, 4)
-    state = LearnerState(state.tables.at[4 * 7].set(8.0), state.control)
-    values = np.asarray(state.tables).copy()
+    state = LearnerState(state.tables.at[4 * 7].set(8.0).at[3 * 4 + 2].set(old), state.control)
     transition = Transition(*(np.int32(x) for x in (3, 2)), np.float32(-1), np.int32(7), np.bool_(False))
     after, report = reporting.learn(4, state, jax.tree.map(jax.numpy.asarray, transition), (np.uint32(5),), learning())
-    error = -1 + 0.5 * 8 - values[3 * 4 + 2]
+    error = -1 + 0.5 * 8 - old
     assert report == (abs(error),)
-    assert after.tables[3 * 4 + 2] == 0.5 * error
+    assert after.tables[3 * 4 + 2] == old + 0.5 * error
 
 
 @pytest.mark.parametrize("mapping", ["native", "vmap"])
