@@ -18,6 +18,7 @@ from hrljax.hierarchy.definition import Abstraction, Hierarchy, Subtask  # noqa:
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover  # noqa: E402
 from hrljax.hierarchy.tables import tabulate  # noqa: E402
 from hrljax.learners.dyna import DynaQ  # noqa: E402
+from hrljax.learners.fading import Fading  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0  # noqa: E402
@@ -30,6 +31,7 @@ from hrljax.learners.relational.search_root import SearchRoot  # noqa: E402
 from hrljax.learners.rmax import RMax  # noqa: E402
 from hrljax.learners.roots.model import ModelRoot  # noqa: E402
 from hrljax.learners.roots.random import RandomRoot  # noqa: E402
+from hrljax.learners.shared import SharedHORDQ  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
 from hrljax.search.best_first import best_first_search  # noqa: E402
 from hrljax.sweeps.estimate import estimate  # noqa: E402
@@ -50,6 +52,7 @@ __all__ = [
     "Abstraction",
     "DynaQ",
     "Environment",
+    "Fading",
     "Hierarchy",
     "Learned",
     "MarioDynamics",
@@ -65,6 +68,7 @@ __all__ = [
     "Run",
     "SARSALambda",
     "SearchRoot",
+    "SharedHORDQ",
     "Subtask",
     "TabularEnvironment",
     "best_first_search",

@@ -15,6 +15,7 @@ from jax import Array, lax
 
 from hrljax.core import choices
 from hrljax.core.environment import AnyTabularDynamics
+from hrljax.core.flags import Flag
 from hrljax.core.numerics import take
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import tabulate
@@ -75,6 +76,10 @@ class StackLayout:
     def all_levels(self) -> range:
         return range(len(self.levels))
 
+    @property
+    def all_tasks(self) -> range:
+        return range(self.num_tasks)
+
     # Where numbers lie in a flat table of `size` numbers for each child, ``[tasks * S * K * size]``.
 
     def start(self, task: Array, state: Array, size: int) -> Array:
@@ -117,11 +122,28 @@ class StackLayout:
         """For each slot, whether its subtask can be invoked in a state; None for an action, which always can."""
         return [None if task < 0 else self.is_active(jnp.int32(task), state) for task in children.tasks]
 
-    def slot_of_action(self, level: int, task: Array, action: Array) -> Array:
-        """The slot that holds a primitive action in the subtask that runs on a level."""
-        if all(self.children(t).is_plain for t in self.levels[level]):
+    def slot_of_action(self, tasks: Sequence[int], task: Array, action: Array) -> Array:
+        """The slot that holds a primitive action in a subtask (int32), which is one of some; any where none does."""
+        if all(self.children(t).is_plain for t in tasks):
             return action
         return take(jnp.asarray(self._slot_table), task * self.num_actions + action)
+
+    def has_action(self, tasks: Sequence[int], task: Array, action: Array) -> Flag:
+        """Whether a primitive action is a child of a subtask (int32), which is one of some."""
+        if all(set(self.children(t).actions) >= set(range(self.num_actions)) for t in tasks):
+            return True
+        has = [[a in self.children(t).actions for a in range(self.num_actions)] for t in self.all_tasks]
+        return take(jnp.asarray(np.array(has).ravel()), task * self.num_actions + action)
+
+    def active_tasks(self, without_root: bool) -> np.ndarray:
+        """``[S, M]`` int32: the active subtasks with a primitive child, in order; -1 where there are less than M."""
+        tasks = [t for t in self.all_tasks if max(self.children(t).actions) >= 0 and not (without_root and t == 0)]
+        active = self.active[tasks].T
+        table = np.full((self.num_states, max(int(active.sum(1).max()), 1)), -1, np.int32)
+        for row, is_active in zip(table, active, strict=True):
+            actual = np.array(tasks, np.int32)[is_active]
+            row[: len(actual)] = actual
+        return table
 
     @cached_property
     def _slot_table(self) -> np.ndarray:
@@ -133,12 +155,12 @@ class StackLayout:
                     table[task, action] = slot
         return table.ravel()
 
-    def by_child_set(self, levels: Sequence[int], task: Array, function: Callable[[ChildSet], T]) -> T:
-        """`function` of the children of a subtask (int32) that runs on one of some levels.
+    def by_child_set(self, tasks: Sequence[int], task: Array, function: Callable[[ChildSet], T]) -> T:
+        """`function` of the children of a subtask (int32), which is one of some.
 
         Branches where these differ.
         """
-        numbers = sorted({self.child_set_of[t] for level in levels for t in self.levels[level]})
+        numbers = sorted({self.child_set_of[t] for t in tasks})
         if len(numbers) == 1:
             return function(self.child_sets[numbers[0]])
         place = np.array([numbers.index(k) if k in numbers else 0 for k in self.child_set_of], np.int32)

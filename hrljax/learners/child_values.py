@@ -5,6 +5,7 @@ by state, subtask by subtask (`hrljax.hierarchy.layout.StackLayout.start`).
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -14,11 +15,21 @@ from jax import Array, lax
 from hrljax.core import choices
 from hrljax.core.numerics import take_row
 from hrljax.hierarchy.layout import ChildSet, StackLayout
-from hrljax.learners.base import Control, Learner, Prepared, Tables
+from hrljax.learners.base import Context, Control, Learner, Prepared, Tables
+from hrljax.learners.fading import Seen
 from hrljax.learners.roots.base import ChildValue
 
 Q = TypeVar("Q", bound=tuple[Array, ...])
-"""Type of the values of one child: a NamedTuple of float32 scalars; the first is what the child earns itself."""
+"""Type of the values of one child: a NamedTuple of float32 scalars."""
+
+
+class Known(NamedTuple):
+    """What is known when a subtask decides."""
+
+    layout: StackLayout
+    q: Array  # values of children
+    seen: Seen | None  # what a pseudo-reward that fades goes by
+    context: Context
 
 
 class Row(NamedTuple, Generic[Q]):
@@ -38,53 +49,94 @@ class ChildValues(Learner[Prepared, Tables, Control], Generic[Prepared, Tables, 
 
     @abstractmethod
     def q_total(self, q: Q) -> Array:
-        """What behaviour and bootstraps are greedy in (float32 scalar)."""
+        """What a child is worth (float32 scalar)."""
 
     @abstractmethod
     def value_until_end(self, q: Q) -> Array:
         """The part of a value that a subtask's parent sees: until the subtask ends."""
+
+    @abstractmethod
+    def of_subtask(self, stored: Q, best: Q) -> Q:
+        """The values of a child that is a subtask.
+
+        Args:
+            stored: what its parent has learned of it.
+            best: the values of its own greedy child.
+        """
+
+    def preference(self, known: Known, state: Array) -> Callable[[Q], Array]:
+        """What choices in a state are greedy in (float32 scalar)."""
+        return self.q_total
+
+    def initial_values(self, layout: StackLayout, root_learns: bool) -> Array:
+        """The table before the first episode."""
+        cells = layout.num_states * layout.num_slots
+
+        def tiled(q: Q, times: int) -> Array:
+            return jnp.tile(jnp.stack([jnp.asarray(number, jnp.float32) for number in q]), times)
+
+        values = tiled(self.initial(is_root=False), layout.num_tasks * cells)
+        if not root_learns:
+            return values
+        of_root = tiled(self.initial(is_root=True), cells)
+        return jnp.concatenate([of_root, values[len(of_root) :]])
 
     @property
     def _size(self) -> int:
         """Stored numbers of a child."""
         return len(self.initial(is_root=False))
 
-    def _row(self, layout: StackLayout, table: Array, children: ChildSet, task: Array, state: Array) -> Row[Q]:
-        """The values of a subtask's children in a state.
-
-        What a child that is a subtask earns is not stored, but read from its own values (thesis eq. 3.3).
-        """
+    def _stored(self, known: Known, children: ChildSet, task: Array, state: Array) -> list[Q]:
+        """What is stored of a subtask's children in a state, slot by slot."""
         size, make = self._size, type(self.initial(is_root=False))
-        numbers = take_row(table, layout.start(task, state, size), children.num_slots * size)
-        values = [make(*(numbers[slot * size + i] for i in range(size))) for slot in range(children.num_slots)]
+        numbers = take_row(known.q, known.layout.start(task, state, size), children.num_slots * size)
+        return [make(*(numbers[slot * size + i] for i in range(size))) for slot in range(children.num_slots)]
+
+    def _stored_in(self, known: Known, children: ChildSet, task: Array, state: Array, slot: Array) -> Q:
+        """What is stored of the child in one slot."""
+        size, make = self._size, type(self.initial(is_root=False))
+        numbers = take_row(known.q, known.layout.start_of_child(task, state, slot, size), size)
+        return make(*(numbers[i] for i in range(size)))
+
+    def _row(self, known: Known, children: ChildSet, task: Array, state: Array) -> Row[Q]:
+        """The values of a subtask's children in a state."""
+        values = self._stored(known, children, task, state)
         for slot, child in enumerate(children.tasks):
             if child >= 0:
-                earned = self._value(layout, table, layout.children(child), jnp.int32(child), state)
-                values[slot] = make(earned, *values[slot][1:])
-        allowed, never = layout.allowed(children, state), jnp.float32(-np.inf)
+                best = self._best(known, known.layout.children(child), jnp.int32(child), state)
+                values[slot] = self.of_subtask(values[slot], best)
+        allowed, never = known.layout.allowed(children, state), jnp.float32(-np.inf)
+        preference = self.preference(known, state)
         worth = [
-            self.q_total(q) if can is None else lax.select(can, self.q_total(q), never)
+            preference(q) if can is None else lax.select(can, preference(q), never)
             for q, can in zip(values, allowed, strict=True)
         ]
         return Row(values, allowed, choices.greedy(worth)[0])
 
-    def _values_of(
-        self, layout: StackLayout, table: Array, children: ChildSet, task: Array, state: Array, row: Row[Q], slot: Array
-    ) -> Q:
+    def _values_of(self, known: Known, children: ChildSet, task: Array, state: Array, row: Row[Q], slot: Array) -> Q:
         """The values of the child in one slot of a row."""
-        # Read again: to choose among values that are at hand takes longer.
-        size = self._size
-        stored = take_row(table, layout.start_of_child(task, state, slot, size), size)
-        earned = stored[0] if children.is_primitive else choices.pick([q[0] for q in row.values], slot)
-        return type(row.values[0])(earned, *(stored[i] for i in range(1, size)))
+        if children.is_primitive:  # To choose among values that are at hand takes longer.
+            return self._stored_in(known, children, task, state, slot)
+        return _picked(row, slot)
 
-    def _value(self, layout: StackLayout, table: Array, children: ChildSet, task: Array, state: Array) -> Array:
-        """Value of a subtask until it ends, at what it would do itself (thesis eq. 3.3)."""
-        row = self._row(layout, table, children, task, state)
-        return choices.pick([self.value_until_end(q) for q in row.values], row.best)
+    def _best(self, known: Known, children: ChildSet, task: Array, state: Array) -> Q:
+        """The values of a subtask's greedy child."""
+        row = self._row(known, children, task, state)
+        return _picked(row, row.best)
 
-    def _child_value(self, layout: StackLayout, table: Array) -> ChildValue:
+    def _child_value(self, known: Known) -> ChildValue:
+        """A subtask's value until it ends, at what it would do itself (thesis eq. 3.3)."""
+
         def value(task: Array, state: Array) -> Array:
-            return layout.by_child_set([0], task, lambda children: self._value(layout, table, children, task, state))
+            best = known.layout.by_child_set(
+                known.layout.levels[0], task, lambda children: self._best(known, children, task, state)
+            )
+            return self.value_until_end(best)
 
         return value
+
+
+def _picked(row: Row[Q], slot: Array) -> Q:
+    """The values in one slot of a row that is at hand."""
+    numbers = zip(*row.values, strict=True)
+    return type(row.values[0])(*(choices.pick(list(of_slots), slot) for of_slots in numbers))

@@ -21,7 +21,8 @@ from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.layout import StackLayout, stack_layout
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.learners.base import Context, LearnerState, Transition, Words
-from hrljax.learners.child_values import Q
+from hrljax.learners.child_values import Known, Q
+from hrljax.learners.fading import Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.roots.base import AnySubtaskRoot, Decision, Question, SubtaskRoot
 from hrljax.learners.stack import LevelEnd, StackOfSubtasks, StackState, empty_stack
@@ -33,6 +34,7 @@ class StackTables(NamedTuple):
 
     q: Array  # [tasks * S * K * numbers] float32: values by subtask, state and child's slot
     root: chex.ArrayTree  # what the root has learned, if it has a policy of its own; else ()
+    seen: Seen | None = None  # what a pseudo-reward that fades goes by
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,7 @@ class Prepared:
 class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generic[Q]):
     """Executes a hierarchy; subclasses say what is learned.
 
-    To `initial`, `q_total` and `value_until_end` comes `moves`: what a step teaches.
+    To what `hrljax.learners.child_values.ChildValues` asks for comes `moves`: what a step teaches.
 
     Attributes: see `hrljax.HORDQ`.
     """
@@ -89,23 +91,31 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
     @abstractmethod
     def moves(
         self,
-        layout: StackLayout,
+        known: Known,
         stack: StackState,
         transition: Transition,
         ends: list[LevelEnd],
         q_next: Q,
-        context: Context,
+        next_action: Array | None,
     ) -> list[Move]:
         """The rows of ``StackTables.q`` that a step moves, and where to.
 
         Args:
-            layout: where the rows lie.
+            known: before the step.
             stack: before the step, its pending discounts with the step in them.
             transition: the step.
             ends: what it ended on each level.
             q_next: values that bootstraps use, of the child that is chosen in the next state; 0 after the last step.
-            context: the episode.
+            next_action: the action (int32) that is taken next, if the learner is on-policy.
         """
+
+    def nothing_seen(self, layout: StackLayout) -> Seen | None:
+        """`StackTables.seen` before the first step."""
+        return None
+
+    def after_seeing(self, seen: Seen | None, transition: Transition, context: Context) -> Seen | None:
+        """`StackTables.seen` after a step; as it was where `context` does not learn."""
+        return seen
 
     @property
     def is_on_policy(self) -> bool:
@@ -120,29 +130,21 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
 
     def init(self, env: AnyTabularEnvironment, prepared: Prepared) -> LearnerState:
         layout = prepared.layout
-        cells = layout.num_states * layout.num_slots
-
-        def tiled(q: Q, times: int) -> Array:
-            return jnp.tile(jnp.stack([jnp.asarray(number, jnp.float32) for number in q]), times)
-
-        q, root = tiled(self.initial(is_root=False), layout.num_tasks * cells), ()
-        if self.root is None:
-            of_root = tiled(self.initial(is_root=True), cells)
-            q = jnp.concatenate([of_root, q[len(of_root) :]])
-        else:
-            root = self.root.init(prepared.root)
-        return LearnerState(StackTables(q, root), empty_stack(layout))
+        root = () if self.root is None else self.root.init(prepared.root)
+        q = self.initial_values(layout, self.root is None)
+        return LearnerState(StackTables(q, root, self.nothing_seen(layout)), empty_stack(layout))
 
     def begin(
         self, prepared: Prepared, tables: StackTables, first: Array, words: Words, context: Context
     ) -> StackState:
         layout = prepared.layout
+        known = Known(layout, tables.q, tables.seen, context)
         task, memory = jnp.int32(0), ()
         if self.root is not None:
-            question = self._question(prepared, tables, first, words[0], context)
+            question = self._question(known, first, words[0])
             task, memory = self.root.begin(prepared.root, tables.root, question, context)
         ends = [LevelEnd(True, True, True)] * layout.num_levels
-        stack, _ = self._descend(layout, tables.q, empty_stack(layout), ends, task, True, first, words, context)
+        stack, _ = self._descend(known, empty_stack(layout), ends, task, True, first, words)
         return stack._replace(memory=memory)
 
     def action(self, control: StackState) -> Array:
@@ -154,6 +156,8 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         tables: StackTables = state.tables
         before: StackState = state.control
         layout, after = prepared.layout, transition.next_state
+        tables = tables._replace(seen=self.after_seeing(tables.seen, transition, context))
+        known = Known(layout, tables.q, tables.seen, context)
         ends = self._ends(layout, before, transition)
         discount = jnp.asarray(at_episode(self.discount, context.episode))
         stack = before._replace(pending=tuple(p._replace(discount=p.discount * discount) for p in before.pending))
@@ -161,26 +165,26 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         if self.root is not None:
             # The root chooses before the bootstrap, which is on the subtask that really runs next.
             is_new = ends[0].exited
-            asked, decision = self._question(prepared, tables, after, words[0], context), Decision(task, before.memory)
+            asked, decision = self._question(known, after, words[0]), Decision(task, before.memory)
             of_root, (task, memory) = self.root.step(
                 prepared.root, tables.root, decision, transition, is_new, discount, asked, context
             )
             tables = tables._replace(root=of_root)
         goes_on = ~transition.terminated & context.learns
 
-        def descend(table: Array) -> tuple[StackState, Q]:
-            return self._descend(layout, table, stack, ends, task, is_new, after, words, context, goes_on)
+        def descend(known: Known) -> tuple[StackState, Q]:
+            return self._descend(known, stack, ends, task, is_new, after, words, goes_on)
 
         # An off-policy learner chooses with what it has just learned, an on-policy one learns from its choice.
         following = None
         if self.is_on_policy:
-            following, q_next = descend(tables.q)
+            following, q_next = descend(known)
         else:
-            q_next = self._greedy_next(layout, tables.q, before, ends, task, after)
+            q_next = self._greedy_next(known, before, ends, task, after)
         q_next = jax.tree.map(lambda number: lax.select(transition.terminated, jnp.float32(0), number), q_next)
-        moves = self.moves(layout, stack, transition, ends, q_next, context)
+        moves = self.moves(known, stack, transition, ends, q_next, following and following.action)
         q = moved(tables.q, moves, at_episode(self.step_size, context.episode), context)
-        following = following or descend(q)[0]
+        following = following or descend(known._replace(q=q))[0]
         return LearnerState(tables._replace(q=q), following._replace(memory=memory))
 
     def plan(self, prepared: Prepared, tables: StackTables, context: Context) -> StackTables:
@@ -192,24 +196,20 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         self, env: AnyTabularEnvironment, prepared: Prepared, tables: StackTables, context: Context
     ) -> HierarchicalPolicy:
         layout, root = prepared.layout, self.root
+        known = Known(layout, tables.q, tables.seen, context)
         states = jnp.arange(env.num_states, dtype=jnp.int32)
 
         def slots(state: Array) -> Array:
-            rows = [
-                self._row(layout, tables.q, layout.children(task), jnp.int32(task), state)
-                for task in range(layout.num_tasks)
-            ]
+            rows = [self._row(known, layout.children(task), jnp.int32(task), state) for task in range(layout.num_tasks)]
             return jnp.stack([row.best for row in rows])
 
         choice = None
         if root is not None:
-            child_value = self._child_value(layout, tables.q)
+            child_value = self._child_value(known)
             choice = jax.vmap(lambda s: root.probabilities(prepared.root, tables.root, child_value, s, context))(states)
         return HierarchicalPolicy(layout, jax.vmap(slots)(states).T, choice)
 
-    def _question(
-        self, prepared: Prepared, tables: StackTables, state: Array, word: Array, context: Context
-    ) -> Question:
+    def _question(self, known: Known, state: Array, word: Array) -> Question:
         """What the root may go by in a state."""
-        epsilon = jnp.asarray(at_episode(self.epsilon, context.episode))
-        return Question(state, word, epsilon, self._child_value(prepared.layout, tables.q))
+        epsilon = jnp.asarray(at_episode(self.epsilon, known.context.episode))
+        return Question(state, word, epsilon, self._child_value(known))

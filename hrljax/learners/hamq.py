@@ -6,8 +6,8 @@ from typing import NamedTuple
 from jax import Array
 
 from hrljax.core.flags import choose
-from hrljax.hierarchy.layout import StackLayout
-from hrljax.learners.base import Context, Transition
+from hrljax.learners.base import Transition
+from hrljax.learners.child_values import Known
 from hrljax.learners.execution import StackLearner
 from hrljax.learners.hyperparameters import at_episode
 from hrljax.learners.stack import LevelEnd, StackState, readable
@@ -56,21 +56,25 @@ class HAMQ(StackLearner[ChoiceValue]):
     def value_until_end(self, q: ChoiceValue) -> Array:
         return q.q
 
+    def of_subtask(self, stored: ChoiceValue, best: ChoiceValue) -> ChoiceValue:
+        return best
+
     def moves(
         self,
-        layout: StackLayout,
+        known: Known,
         stack: StackState,
         transition: Transition,
         ends: list[LevelEnd],
         q_next: ChoiceValue,
-        context: Context,
+        next_action: Array | None,
     ) -> list[Move]:
         """The choice of the primitive action; what follows it is the choice that comes next."""
-        task, slot = stack.tasks[0], layout.slot_of_action(0, stack.tasks[0], stack.action)
+        layout, context = known.layout, known.context
+        task, slot = stack.tasks[0], layout.slot_of_action(layout.levels[0], stack.tasks[0], stack.action)
         for level in layout.all_levels[1:]:
             # The subtask that took the action is the last one on the stack.
             lower = readable(stack.tasks[level], ends[level].used)
-            lower_slot = layout.slot_of_action(level, lower, stack.action)
+            lower_slot = layout.slot_of_action(layout.levels[level], lower, stack.action)
             task, slot = choose(ends[level].used, (lower, lower_slot), (task, slot))
         gamma = context.discounted(at_episode(self.discount, context.episode))
         target = td_target(transition.reward, gamma, q_next.q)

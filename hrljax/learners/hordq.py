@@ -13,11 +13,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core.flags import both
-from hrljax.hierarchy.layout import StackLayout
-from hrljax.learners.base import Context, Discounted, Transition
-from hrljax.learners.execution import StackLearner
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
-from hrljax.learners.stack import LevelEnd, StackState, readable
+from hrljax.learners.base import Discounted, Transition
+from hrljax.learners.child_values import Known
+from hrljax.learners.pseudo_reward import PseudoRewarded
+from hrljax.learners.stack import LevelEnd, StackState
 from hrljax.learners.updates import Move
 
 Bootstrap = Literal["greedy", "on_policy"]
@@ -67,10 +66,9 @@ def hordq_target(reward: Array, gamma: Discounted, exited: Array, pseudo_reward:
 
 
 @dataclass(frozen=True)
-class _Decomposed(StackLearner[Q]):
+class _Decomposed(PseudoRewarded[Q]):
     """What HORDQ and MAXQ-Q share: all but what a subtask wants."""
 
-    pseudo_reward: Hyperparameter = hyperparameter(0.0, schedule=True)
     bootstrap: Bootstrap = field(default="greedy", kw_only=True)
 
     def __post_init__(self) -> None:
@@ -84,47 +82,35 @@ class _Decomposed(StackLearner[Q]):
     def value_until_end(self, q: Q) -> Array:
         return q.r + q.c
 
+    def value_of_goal(self, q: Q) -> Array:
+        return q.p
+
+    def of_subtask(self, stored: Q, best: Q) -> Q:
+        return stored._replace(r=self.value_until_end(best))
+
     def target(self, reward: Array, gamma: Discounted, exited: Array, pseudo_reward: Array, q_next: Q) -> Q:
         """What the values of a child that has ended are moved to; as `hordq_target`."""
         return hordq_target(reward, gamma, exited, pseudo_reward, q_next)
 
     def moves(
         self,
-        layout: StackLayout,
+        known: Known,
         stack: StackState,
         transition: Transition,
         ends: list[LevelEnd],
         q_next: Q,
-        context: Context,
+        next_action: Array | None,
     ) -> list[Move]:
         """One move a level. A level that is not used rewrites a row of subtask 0 as it was before the step."""
-        return [
-            self._move(layout, level, stack, transition, ends[level], q_next, context) for level in layout.all_levels
-        ]
 
-    def _move(
-        self,
-        layout: StackLayout,
-        level: int,
-        stack: StackState,
-        transition: Transition,
-        end: LevelEnd,
-        q_next: Q,
-        context: Context,
-    ) -> Move:
-        task = readable(stack.tasks[level], end.used)
-        if level == layout.num_levels - 1:
-            state, slot = transition.state, layout.slot_of_action(level, task, stack.action)
-            discount, reward = at_episode(self.discount, context.episode), transition.reward
-        else:
-            state, slot, discount = stack.pending[level]
-            # Q_r of a subtask is read from its own values.
-            reward = lax.select(stack.tasks[level + 1] < 0, transition.reward, jnp.float32(0))
-        goal_factor = layout.goal_factor(task, transition.next_state)
-        pseudo_reward = at_episode(self.pseudo_reward, context.episode) * goal_factor
-        gamma, exited = context.discounted(discount), jnp.asarray(end.exited)
-        target = jnp.stack(self.target(reward, gamma, exited, pseudo_reward, q_next))
-        return Move(layout.start_of_child(task, state, slot, self._size), target, both(end.used, end.child))
+        def move(level: int, end: LevelEnd) -> Move:
+            child = self.running_child(known, level, stack, transition, end)
+            pseudo_reward = self.paid(known, known.layout.goal_factor(child.parent, transition.next_state))
+            target = self.target(child.reward, child.gamma, jnp.asarray(end.exited), pseudo_reward, q_next)
+            start = known.layout.start_of_child(child.parent, child.state, child.slot, self._size)
+            return Move(start, jnp.stack(target), both(end.used, end.child))
+
+        return [move(level, end) for level, end in enumerate(ends)]
 
 
 @dataclass(frozen=True)
@@ -143,7 +129,7 @@ class HORDQ(_Decomposed):
             choice of a root that chooses greedily; or a schedule of the episode.
         discount: in [0, 1].
         initial_value: of Q_e (of Q_c in MAXQ and in a root that learns); other parts begin at 0.
-        pseudo_reward: paid to a subtask that ends in its goal, or a schedule of the episode.
+        pseudo_reward: paid to a subtask that ends in its goal; a number, a schedule of the episode or `Fading`.
         bootstrap: ``"greedy"`` bootstraps on the greedy child (thesis 3.12), ``"on_policy"`` on the
             child that is invoked next.
     """
@@ -156,7 +142,7 @@ class HORDQ(_Decomposed):
         return Q(zero, value, zero, zero) if is_root else Q(zero, zero, value, zero)
 
     def q_total(self, q: Q) -> Array:
-        return q.r + q.c + q.e + q.p
+        return q.r + q.c + q.e
 
 
 @dataclass(frozen=True)
@@ -178,7 +164,7 @@ class MAXQ(_Decomposed):
         return Q(zero, value, zero, zero)
 
     def q_total(self, q: Q) -> Array:
-        return q.r + q.c + q.p
+        return q.r + q.c
 
 
 @dataclass(frozen=True)

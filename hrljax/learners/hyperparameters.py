@@ -21,12 +21,20 @@ Hyperparameter: TypeAlias = "float | Schedule | Array"
 
 
 def hyperparameter(
-    default: Any, low: float = -math.inf, high: float = math.inf, low_open: bool = False, schedule: bool = False
+    default: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    low_open: bool = False,
+    schedule: bool = False,
+    settings: "type[Settings] | None" = None,
 ) -> Any:
-    """A dataclass field that may be swept, with the interval that it must lie in, as a finite float32."""
+    """A dataclass field that may be swept, with the interval that it must lie in, as a finite float32.
+
+    `schedule` allows a function of the episode, `settings` an object of a class whose own fields may be swept.
+    """
     largest = checks.LARGEST_NUMBER
     interval = checks.Interval(max(low, -largest), min(high, largest), low_open)
-    metadata = {"sweepable": True, "interval": interval, "schedule": schedule}
+    metadata = {"sweepable": True, "interval": interval, "schedule": schedule, "settings": settings}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -101,9 +109,12 @@ class Settings:
 
 def _checked(owner: str, field: "dataclasses.Field[Any]", value: Any) -> Any:
     """A hyper-parameter's value, if it is a number in its interval, or a schedule where that is allowed."""
-    name, takes_schedule = f"{owner}: {field.name}", field.metadata["schedule"]
+    name, takes_schedule, settings = (f"{owner}: {field.name}", *map(field.metadata.get, ("schedule", "settings")))
+    if settings and isinstance(value, settings):
+        return value
     if not callable(value):
         also = " or a schedule" if takes_schedule else ""
+        also += f" or {settings.__name__}(...)" if settings else ""
         return checks.number(name, value, field.metadata["interval"], also=also, may_be_traced=True)
     if not takes_schedule:
         raise TypeError(f"{name} must be a number, not a schedule")

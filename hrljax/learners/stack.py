@@ -12,8 +12,8 @@ from hrljax.core import choices
 from hrljax.core.flags import Flag, both, choose, either, opposite
 from hrljax.core.random import threshold
 from hrljax.hierarchy.layout import ChildSet, StackLayout
-from hrljax.learners.base import Context, Control, Prepared, Tables, Transition, Words
-from hrljax.learners.child_values import ChildValues, Q
+from hrljax.learners.base import Control, Discounted, Prepared, Tables, Transition, Words
+from hrljax.learners.child_values import ChildValues, Known, Q
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode
 from hrljax.learners.roots.base import AnySubtaskRoot
 
@@ -33,6 +33,16 @@ class StackState(NamedTuple):
     tasks: tuple[Array, ...]  # int32: subtask that runs on each level, -1 if none
     pending: tuple[Pending, ...]  # on each level but the last, whose children are primitive
     memory: chex.ArrayTree  # what the root remembers of its decision; () if it learns as the others do
+
+
+class RunningChild(NamedTuple):
+    """The child that a subtask on a level has invoked, at the end of a step."""
+
+    parent: Array  # int32: the subtask on the level
+    state: Array  # int32: where the child was invoked
+    slot: Array  # int32
+    reward: Array  # float32: of the step if the child is an action, else 0: a subtask's is in its own values
+    gamma: Discounted  # discounts by all of its steps
 
 
 class Choice(NamedTuple, Generic[Q]):
@@ -70,6 +80,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
 
     root: AnySubtaskRoot | None
     epsilon: Hyperparameter
+    discount: Hyperparameter
 
     def _ends(self, layout: StackLayout, stack: StackState, transition: Transition) -> list[LevelEnd]:
         """What a step ended on each level, from the first to the last."""
@@ -93,14 +104,25 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             children.append(either(either(exits[below], acts_itself), transition.terminated))
         return [LevelEnd(*flags) for flags in zip(used, children, exits, strict=True)]
 
-    def _greedy_next(
-        self, layout: StackLayout, table: Array, stack: StackState, ends: list[LevelEnd], task: Array, state: Array
-    ) -> Q:
+    def running_child(
+        self, known: Known, level: int, stack: StackState, transition: Transition, end: LevelEnd
+    ) -> RunningChild:
+        """What runs on a level. `stack` is that before the step, its discounts with the step in them."""
+        layout, context = known.layout, known.context
+        parent = readable(stack.tasks[level], end.used)
+        if level == layout.num_levels - 1:
+            state, slot = transition.state, layout.slot_of_action(layout.levels[level], parent, stack.action)
+            discount, reward = at_episode(self.discount, context.episode), transition.reward
+        else:
+            state, slot, discount = stack.pending[level]
+            reward = lax.select(stack.tasks[level + 1] < 0, transition.reward, jnp.float32(0))
+        return RunningChild(parent, state, slot, reward, context.discounted(discount))
+
+    def _greedy_next(self, known: Known, stack: StackState, ends: list[LevelEnd], task: Array, state: Array) -> Q:
         """Values of the greedy child of the first learning subtask that takes control after a step.
 
         Args:
-            layout: where values lie.
-            table: the values.
+            known: what it goes by.
             stack: before the step.
             ends: what the step ended.
             task: the subtask on the first level after it.
@@ -110,41 +132,38 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             task = choose(both(end.used, opposite(end.exited)), running, task)
 
         def of_children(children: ChildSet) -> Q:
-            row = self._row(layout, table, children, task, state)
-            return self._values_of(layout, table, children, task, state, row, row.best)
+            row = self._row(known, children, task, state)
+            return self._values_of(known, children, task, state, row, row.best)
 
-        return layout.by_child_set(layout.all_levels, task, of_children)
+        return known.layout.by_child_set(known.layout.all_tasks, task, of_children)
 
     def _descend(
         self,
-        layout: StackLayout,
-        table: Array,
+        known: Known,
         stack: StackState,
         ends: list[LevelEnd],
         task: Array,
         is_new: Flag,
         state: Array,
         words: Words,
-        context: Context,
         goes_on: Flag = True,
     ) -> tuple[StackState, Q]:
         """Fills the stack down to a primitive action.
 
         Args:
-            layout: where values lie.
-            table: the values.
+            known: what subtasks go by.
             stack: before the last step.
             ends: what that step ended.
             task: the subtask on the first level, which has just been invoked if `is_new`.
             is_new: see `task`.
             state: after that step.
             words: one for each level, after the root's.
-            context: the episode.
             goes_on: whether decisions have an effect.
 
         Returns:
             The stack, without the root's memory; and the values of what the first subtask to decide invokes.
         """
+        layout = known.layout
         action, has_decided, q_next = stack.action, False, None
         tasks: list[Array] = []
         pending: list[Pending] = []
@@ -157,7 +176,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             asked = readable(task, used)
 
             def decide(level: int = level, asked: Array = asked) -> Choice[Q]:
-                return self._decide(layout, table, level, asked, state, words[level + layout.offset], context)
+                return self._decide(known, level, asked, state, words[level + layout.offset])
 
             if isinstance(decides, bool):
                 choice = decide()
@@ -177,20 +196,18 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
         assert q_next is not None  # there is a level
         return StackState(action, tuple(tasks), tuple(pending), ()), q_next
 
-    def _decide(
-        self, layout: StackLayout, table: Array, level: int, task: Array, state: Array, word: Array, context: Context
-    ) -> Choice[Q]:
+    def _decide(self, known: Known, level: int, task: Array, state: Array, word: Array) -> Choice[Q]:
         """The child that a subtask on a level invokes: the greedy one, or with probability epsilon any."""
-        epsilon = at_episode(self.epsilon, context.episode)
+        epsilon = at_episode(self.epsilon, known.context.episode)
 
         def of_children(children: ChildSet) -> Choice[Q]:
-            row = self._row(layout, table, children, task, state)
+            row = self._row(known, children, task, state)
             if children.is_primitive:
                 slot = choices.epsilon_greedy(row.best, children.num_slots, word, epsilon)
             else:
                 can = [jnp.bool_(True) if allowed is None else allowed for allowed in row.allowed]
                 slot = lax.select(word < threshold(epsilon), choices.nth_allowed(can, word), row.best)
-            q = self._values_of(layout, table, children, task, state, row, slot)
-            return Choice(*layout.child_of(children, slot), slot, q)
+            q = self._values_of(known, children, task, state, row, slot)
+            return Choice(*known.layout.child_of(children, slot), slot, q)
 
-        return layout.by_child_set([level], task, of_children)
+        return known.layout.by_child_set(known.layout.levels[level], task, of_children)
