@@ -92,9 +92,10 @@ def greedy_return(
     tables: chex.ArrayTree,
     params: Numbers,
     zero: Array,
+    episode: Array | int,
 ) -> Array:
-    """Expected return (float32 scalar) of an episode if the learner were greedy from now on; see `expected_return`."""
-    policy = learner.greedy_policy(env, prepared, tables, outside_of_training(zero))
+    """Expected return (float32 scalar) of an episode if the learner were greedy after learning from so many others."""
+    policy = learner.greedy_policy(env, prepared, tables, outside_of_training(zero, episode))
     return expected_return(env, policy, params, zero)
 
 

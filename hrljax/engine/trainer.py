@@ -153,7 +153,8 @@ class Trainer:
 
     def _evaluate(self, loop: _Loop) -> Array:
         assert isinstance(self.env, TabularEnvironment)  # `check_arguments` has seen to it
-        return greedy_return(self.learner, self.env, self.prepared, loop.learner.tables, self.params, _zero(loop))
+        tables, episode = loop.learner.tables, self._last_if_over(loop.episode)
+        return greedy_return(self.learner, self.env, self.prepared, tables, self.params, _zero(loop), episode)
 
     def _no_sums(self) -> Total:
         """The reward, the events and the reports of a bin before its first step."""
@@ -267,6 +268,10 @@ class Trainer:
         first = contract.initial(self.env, words[:num_first], self.params)
         if isinstance(self.env, TabularEnvironment):
             first = contract.encode(self.env, first)
-        # The last episode is followed by a beginning that no one uses; schedules end with the run.
-        context = context._replace(episode=jnp.minimum(episode, self.first_episode + self.num_episodes - 1))
+        # The last episode is followed by a beginning that no one uses.
+        context = context._replace(episode=self._last_if_over(episode))
         return self.learner.begin(self.prepared, tables, first, words[num_first:], context), first
+
+    def _last_if_over(self, episode: Array) -> Array:
+        """The episode; after the end of the run, with which schedules end, its last one."""
+        return jnp.minimum(episode, self.first_episode + self.num_episodes - 1)

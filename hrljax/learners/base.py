@@ -54,9 +54,9 @@ class Context(NamedTuple):
         return once_if(condition, lambda tables: update(tables, self), tables)
 
 
-def outside_of_training(zero: Array) -> Context:
-    """The context in which a learner that has learned is asked what it would do."""
-    return Context(jnp.int32(0), jnp.bool_(False), zero)
+def outside_of_training(zero: Array, episode: Array | int) -> Context:
+    """The context in which a learner that has learned from so many episodes is asked what it would do."""
+    return Context(jnp.asarray(episode, jnp.int32), jnp.bool_(False), zero)
 
 
 class Transition(NamedTuple):

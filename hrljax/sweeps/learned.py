@@ -17,6 +17,7 @@ from hrljax.engine.start import Start, described, learned_shapes, named_leaves, 
 from hrljax.envs.base import AnyEnvironment, Environment
 from hrljax.hierarchy.numpy_policy import Policy, from_hierarchical
 from hrljax.learners.base import AnyLearner, Learner, outside_of_training
+from hrljax.learners.hyperparameters import with_tabulated_schedules
 from hrljax.sweeps import learned_file
 from hrljax.sweeps.axes import of_learner
 from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables
@@ -122,7 +123,9 @@ class Learned:
         if not self.learner.is_tabular:
             return StatePolicy(self.env, self.learner, tables)
         prepared = self.learner.prepare(self.env)
-        policy = self.learner.greedy_policy(self.env, prepared, tables, outside_of_training(jnp.uint32(0)))
+        learner = with_tabulated_schedules(self.learner, max(1, self.episodes))
+        context = outside_of_training(jnp.uint32(0), self.episodes)
+        policy = learner.greedy_policy(self.env, prepared, tables, context)
         return from_hierarchical(policy, np.random.default_rng(seed))
 
     def save(self, path: str | Path) -> None:
@@ -196,7 +199,7 @@ class StatePolicy:
             if callable(value):
                 raise ValueError(f"the policy of {learner.name} needs a number for {name}, which is a schedule")
         prepared, words = greedy.prepare(env), (jnp.uint32(0),) * greedy.num_begin_words
-        context = outside_of_training(jnp.uint32(0))
+        context = outside_of_training(jnp.uint32(0), 0)
 
         def choose(tables: chex.ArrayTree, state: EpisodeState) -> jax.Array:
             return greedy.action(greedy.begin(prepared, tables, state, words, context))

@@ -13,6 +13,7 @@ from hrljax.engine.evaluate import greedy_return
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.hierarchy.tables import tabulate
 from hrljax.learners.base import outside_of_training
+from hrljax.learners.child_values import Known
 from hrljax.solvers.dynamic_programming import value_iteration
 from hrljax.solvers.model import Model
 from tests.maps import SMALL
@@ -27,7 +28,7 @@ def optimal_q(bus_model: Model) -> jax.Array:
 
 
 def test_the_optimal_table_earns_the_optimum(bus: Bus, optimal_q: jax.Array):
-    value = greedy_return(hrljax.QLearning(), bus, 4, optimal_q, bus.default_params, ZERO)
+    value = greedy_return(hrljax.QLearning(), bus, 4, optimal_q, bus.default_params, ZERO, 0)
     assert value.dtype == jnp.float32
     assert float(value) == pytest.approx(-24.586, abs=0.01)
 
@@ -35,13 +36,13 @@ def test_the_optimal_table_earns_the_optimum(bus: Bus, optimal_q: jax.Array):
 def test_an_episode_is_cut_off_at_the_limit_of_steps(bus: Bus, optimal_q: jax.Array):
     """The shortest tour takes 18 steps; without damage nothing ends an episode before."""
     params = BusParams(max_steps=17, damage_probability=0.0)
-    assert float(greedy_return(hrljax.SARSA(), bus, 4, optimal_q, params, ZERO)) == pytest.approx(-17)
+    assert float(greedy_return(hrljax.SARSA(), bus, 4, optimal_q, params, ZERO, 0)) == pytest.approx(-17)
 
 
 def test_an_axis_of_the_environment_cannot_be_evaluated(bus: Bus, optimal_q: jax.Array):
     def value(slip: jax.Array) -> jax.Array:
         params = BusParams()._replace(slip_probability=slip)
-        return greedy_return(hrljax.QLearning(), bus, 4, optimal_q, params, ZERO)
+        return greedy_return(hrljax.QLearning(), bus, 4, optimal_q, params, ZERO, 0)
 
     with pytest.raises(ValueError, match="exact evaluation needs fixed params"):
         jax.eval_shape(value, jnp.float32(0.1))
@@ -91,8 +92,8 @@ def planned_choice(parts: np.ndarray, prepared: Any, run: hrljax.Run) -> np.ndar
 
 
 def test_the_root_is_taken_to_choose_as_it_does(learned: Learned):
-    root, tables, asked = learned.learner.root, learned.tables.root, outside_of_training(ZERO)
-    child_value = learned.learner._child_value(learned.prepared.layout, learned.tables.q)
+    root, tables, asked = learned.learner.root, learned.tables.root, outside_of_training(ZERO, 0)
+    child_value = learned.learner._child_value(Known(learned.prepared.layout, learned.tables.q, None, asked))
     actual = jax.jit(jax.vmap(lambda s: root.probabilities(learned.prepared.root, tables, child_value, s, asked)))(
         jnp.arange(SMALL.num_states, dtype=jnp.int32)
     )
@@ -116,7 +117,7 @@ def test_a_hierarchical_policy_has_the_value_that_numpy_finds(learned: Learned, 
         follows = np.where(model.terminated[rows], 0, arriving[tasks, model.next_state[rows]])
         value = (model.probability[rows] * (model.reward[rows] + follows)).sum(-1)
     expected = SMALL.initial_distribution() @ (learned.choice * value.T).sum(1)
-    actual = greedy_return(learned.learner, SMALL, learned.prepared, learned.tables, SHORT, ZERO)
+    actual = greedy_return(learned.learner, SMALL, learned.prepared, learned.tables, SHORT, ZERO, 0)
     assert float(actual) == pytest.approx(expected, abs=1e-3)
     assert -100 < expected < -12
 
@@ -132,7 +133,7 @@ def test_a_run_is_evaluated_after_the_last_episode_of_a_bin():
     whole = jax.jit(evaluated)(key)
     assert whole.greedy_return.shape == (2,)
     shorter = jax.jit(lambda key: hrljax.train(SMALL, learner, key, 30, params=SHORT, bin_size=5))(key)
-    evaluate = jax.jit(lambda tables, zero: greedy_return(learner, SMALL, 4, tables, SHORT, zero))
+    evaluate = jax.jit(lambda tables, zero: greedy_return(learner, SMALL, 4, tables, SHORT, zero, 0))
     assert evaluate(shorter.learned, ZERO) == whole.greedy_return[1]
     assert whole.greedy_return[0] != whole.greedy_return[1]
 

@@ -23,8 +23,7 @@ EPISODES = 60
 """Most episodes that schedules are read for."""
 
 
-@dataclass
-class Graph:
+class Graph(NamedTuple):
     """A hierarchy over the numbers of states."""
 
     children: dict[str, list[Any]]  # of each subtask, the root first: names of subtasks and numbers of actions
@@ -110,6 +109,9 @@ class Decomposed:
             for child in children
         }
         self.steps_by_depth: dict[int, int] = {}
+        fading = getattr(learner, "pseudo_reward", None)
+        self.fading = fading if isinstance(fading, hrljax.Fading) else None
+        self.visits, self.mean_reward, self.steps = np.zeros(num_states, F), F(0), F(0)
 
     def initial(self, task: str) -> np.ndarray:
         row = np.zeros(4, F)
@@ -127,13 +129,27 @@ class Decomposed:
             reward = self.until_end(child, state)
         return np.array([reward, *rest], F)
 
-    def worth(self, values: np.ndarray) -> F:
+    def worth(self, values: np.ndarray, state: int) -> F:
         reward, completion, after_exit, pseudo = values
+        pseudo = self.kappa(state) * pseudo
         return reward + completion + after_exit + pseudo if self.has_exit else reward + completion + pseudo
+
+    def kappa(self, state: int) -> F:
+        """The weight of the pseudo-reward's value: 1 where that holds the pseudo-reward itself."""
+        if self.fading is None:
+            return F(1)
+        worth, after = F(self.fading.worth), F(self.fading.after)
+        return worth * after * self.mean_reward / (after + self.visits[state])
+
+    def see(self, state: int, reward: F) -> None:
+        """What a pseudo-reward that fades goes by."""
+        self.visits[state] += F(1)
+        self.steps += F(1)
+        self.mean_reward += (abs(reward) - self.mean_reward) / self.steps
 
     def best(self, task: str, state: int) -> Any:
         allowed = self.allowed(task, state)
-        return allowed[int(np.argmax([self.worth(self.values(task, state, child)) for child in allowed]))]
+        return allowed[int(np.argmax([self.worth(self.values(task, state, child), state) for child in allowed]))]
 
     def until_end(self, task: str, state: int) -> F:
         values = self.values(task, state, self.best(task, state))
@@ -164,7 +180,8 @@ class Decomposed:
 
     def begin(self, episode: int, state: int, words: list[int]) -> None:
         for name in ("epsilon", "step_size", "pseudo_reward"):
-            setattr(self, name, at(getattr(self.learner, name, 0.0), episode))
+            number = 1.0 if name == "pseudo_reward" and self.fading else getattr(self.learner, name, 0.0)
+            setattr(self, name, at(number, episode))
         first = self.root if self.root_learns else self.root_choice(state, words[0], is_first=True)
         self.stack = [Frame(first)]
         self.descend(self.stack, state, words)
@@ -172,6 +189,7 @@ class Decomposed:
 
     def learn(self, state: int, reward: F, after: int, terminated: bool, words: list[int]) -> None:
         self.steps_by_depth[len(self.stack)] = self.steps_by_depth.get(len(self.stack), 0) + 1
+        self.see(state, reward)
         ran = self.stack
         for frame in ran:
             frame.discount = frame.discount * F(self.learner.discount)
@@ -201,17 +219,22 @@ class Decomposed:
             else:
                 child = self.best(takes_over.task, after)
             follows = self.values(takes_over.task, after, child)
-        new = {}
+        new = self.taught(state, reward, after, terminated, survivors[-1].child if on_policy and survivors else None)
         for depth, frame in enumerate(ran):
             child_ended = depth >= stays - 1 or depth == len(ran) - 1 or terminated
             if child_ended:
-                new[frame.task, frame.state, frame.child] = self.updated(
-                    frame, reward, after, depth >= stays, follows, depth == len(ran) - 1
-                )
+                updated = self.updated(frame, reward, after, depth >= stays, follows, depth == len(ran) - 1)
+                new = {(frame.task, frame.state, frame.child): updated} | new
         self.table |= {place: row for place, row in new.items() if row is not None}
         if not terminated and not on_policy:
             self.descend(survivors, after, words)
         self.stack = survivors
+
+    def taught(
+        self, state: int, reward: F, after: int, terminated: bool, next_action: int | None
+    ) -> dict[Any, np.ndarray]:
+        """Rows that a step teaches besides those of the children that have ended."""
+        return {}
 
     def updated(
         self, frame: Frame, reward: F, after: int, exited: bool, follows: np.ndarray, on_top: bool
@@ -305,7 +328,7 @@ class Machines(Decomposed):
             return self.values(child, state, self.best(child, state))
         return self.table[task, state, child]
 
-    def worth(self, values: np.ndarray) -> F:
+    def worth(self, values: np.ndarray, state: int) -> F:
         return values[0]
 
     def updated(

@@ -13,6 +13,7 @@ from hrljax.engine.run import bin_sizes, metric_names
 from hrljax.envs.bus.env import Bus, BusParams
 from hrljax.experiments.backup import PseudoRewardInBackup
 from tests.learners.python_levels import Decomposed, Graph, train_in_python
+from tests.learners.python_shared import Shared
 from tests.words import KEY
 
 F = np.float32
@@ -188,6 +189,11 @@ LEARNERS = {
     ),
     "HORDQ in the backup": PseudoRewardInBackup(HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, discount=0.9),
     "HORDQ planned": hrljax.HORDQ(HIERARCHY, hrljax.ModelRoot(), pseudo_reward=5.0, discount=0.99, initial_value=-25.0),
+    "shared": hrljax.SharedHORDQ(HIERARCHY, hrljax.RandomRoot(), discount=0.97, initial_value=-25.0),
+    "shared planned": hrljax.SharedHORDQ(HIERARCHY, hrljax.ModelRoot(), discount=0.99, initial_value=-25.0),
+    "shared planned, all active": hrljax.SharedHORDQ(
+        HIERARCHY, hrljax.ModelRoot(), pseudo_reward=5.0, taught="active", bootstrap="on_policy"
+    ),
     "MAXQ": hrljax.MAXQ(
         HIERARCHY, hrljax.RandomRoot(), pseudo_reward=60.0, epsilon=optax.linear_schedule(0.5, 0.1, 40), discount=0.97
     ),
@@ -199,7 +205,10 @@ def in_python(learner: Any, bus: PythonBus) -> Any:
     if isinstance(learner, hrljax.QLearning | hrljax.SARSA):
         return Flat(learner)
     root = PlannedRoot(learner, bus) if isinstance(learner.root, hrljax.ModelRoot) else None
-    program = Decomposed(learner, bus.tasks(), root)
+    if isinstance(learner, hrljax.SharedHORDQ):
+        program: Any = Shared(learner, bus.tasks(), 4, root)
+    else:
+        program = Decomposed(learner, bus.tasks(), root)
     if root is not None:
         root.program = program
     return program
@@ -221,5 +230,5 @@ def test_a_run_gives_the_numbers_of_plain_python(name: str, bus: Bus):
         np.testing.assert_allclose(mean, sums[:, column] / sizes, rtol=2e-7, err_msg=metric)
     assert sums[:, 2:].any(0).all()  # damage, breakdowns and truncated episodes all happened
     program.compare(run.learned)
-    if name == "HORDQ planned":
+    if "planned" in name:
         program.root_policy.compare(run.learned.root)

@@ -1,19 +1,21 @@
 """Learners over hierarchies of several levels against plain Python: equal numbers, not close ones."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 import hrljax
 from hrljax.engine.evaluate import greedy_return
 from hrljax.hierarchy.definition import Hierarchy, Subtask
+from hrljax.learners.hyperparameters import with_tabulated_schedules
 from tests.learners.python_levels import Decomposed, Graph, Machines, PythonEnv, Walk, train_in_python
+from tests.learners.python_shared import Shared
 from tests.words import KEY
 
 EPISODES = 40
@@ -68,8 +70,7 @@ def taxi_tasks() -> Graph:
     )
 
 
-@dataclass
-class Domain:
+class Domain(NamedTuple):
     env: Any
     params: Any
     hierarchy: Hierarchy
@@ -88,6 +89,19 @@ DOMAINS = {
     "grid": grid_domain(["Outer", 0, "Shared"], {1, 2, 3, 4}),
     "grid under a random root": grid_domain(["Outer", "Inner", "Shared"], {1, 2, 3}),
 }
+
+
+def completed(domain: str) -> Domain:
+    """With every action in every active state of the leaf cover."""
+    where = DOMAINS[domain]
+    active = hrljax.tabulate(where.hierarchy, where.env).active
+    hierarchy = hrljax.total_leaf_cover(where.hierarchy, active=active).hierarchy
+    numbers = {name: number for number, name in enumerate(where.env.action_names)}
+    children = {task.name: [numbers.get(child, child) for child in task.children] for task in hierarchy.subtasks}
+    return where._replace(hierarchy=hierarchy, tasks=where.tasks._replace(children=children))
+
+
+DOMAINS |= {f"completed {name}": completed(name) for name in DOMAINS}
 NUMBERS = {"step_size": 0.5, "epsilon": 0.5, "discount": 0.93, "initial_value": -10.0}
 
 
@@ -95,6 +109,11 @@ def hordq(domain: str, **options: Any) -> hrljax.HORDQ:
     return hrljax.HORDQ(DOMAINS[domain].hierarchy, pseudo_reward=4.0, **options, **NUMBERS)
 
 
+def shared(domain: str, **options: Any) -> hrljax.SharedHORDQ:
+    return hrljax.SharedHORDQ(DOMAINS[domain].hierarchy, **options, **NUMBERS)
+
+
+FADING = hrljax.Fading(worth=30.0, after=7.0)
 CASES = {
     "HORDQ, taxi": hordq("taxi"),
     "HORDQ, grid": hordq("grid"),
@@ -102,6 +121,18 @@ CASES = {
     "HORDQ on policy, grid": hordq("grid", bootstrap="on_policy"),
     "MAXQ, taxi": hrljax.MAXQ(DOMAINS["taxi"].hierarchy, pseudo_reward=7.0, **NUMBERS),
     "MAXQ0, grid": hrljax.MAXQ0(DOMAINS["grid"].hierarchy, **NUMBERS),
+    "HORDQ that fades, grid": hrljax.HORDQ(DOMAINS["grid"].hierarchy, pseudo_reward=FADING, **NUMBERS),
+    "MAXQ that fades, taxi": hrljax.MAXQ(DOMAINS["taxi"].hierarchy, pseudo_reward=FADING, **NUMBERS),
+    "shared, completed taxi": shared("completed taxi"),
+    "shared that fades, completed grid": shared("completed grid", pseudo_reward=FADING, taught="active"),
+    "shared, completed grid": shared("completed grid", pseudo_reward=4.0),
+    "shared on policy, completed grid": shared("completed grid", bootstrap="on_policy", taught="active"),
+    "shared, completed grid under a random root": shared(
+        "completed grid under a random root",
+        root=hrljax.RandomRoot(),
+        pseudo_reward=optax.linear_schedule(9.0, 1.0, EPISODES),
+        bootstrap="on_policy",
+    ),
     "HAMQ, taxi": hrljax.HAMQ(DOMAINS["taxi"].hierarchy, **NUMBERS),
     "HAMQ, grid": hrljax.HAMQ(DOMAINS["grid"].hierarchy, **NUMBERS),
 }
@@ -118,8 +149,11 @@ def both(name: str) -> tuple[hrljax.Run, Walk]:
     learner, domain = CASES[name], name.split(", ")[1]
     where = DOMAINS[domain]
     run = jax.jit(lambda key: hrljax.train(where.env, learner, key, EPISODES, params=where.params))(KEY)
-    program = Machines if isinstance(learner, hrljax.HAMQ) else Decomposed
-    return run, train_in_python(program(learner, where.tasks), outcomes(domain), EPISODES)
+    if isinstance(learner, hrljax.SharedHORDQ):
+        program: Any = Shared(learner, where.tasks, where.env.num_actions)
+    else:
+        program = (Machines if isinstance(learner, hrljax.HAMQ) else Decomposed)(learner, where.tasks)
+    return run, train_in_python(program, outcomes(domain), EPISODES)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -131,12 +165,21 @@ def test_a_run_gives_the_numbers_of_plain_python(name: str):
     walk.program.compare(run.learned)
 
 
-@pytest.mark.parametrize("name", ["HORDQ, grid", "HAMQ, grid", "HORDQ, grid under a random root"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "HORDQ, grid",
+        "HAMQ, grid",
+        "HORDQ, grid under a random root",
+        "shared that fades, completed grid",
+        "shared, completed grid under a random root",
+    ],
+)
 def test_greedy_behaviour_has_the_value_that_plain_python_finds(name: str):
-    learner, domain = CASES[name], name.split(", ")[1]
+    learner, domain = with_tabulated_schedules(CASES[name], EPISODES), name.split(", ")[1]
     env, params = DOMAINS[domain].env, DOMAINS[domain].params
     run, walk = both(name)
-    actual = greedy_return(learner, env, learner.prepare(env), run.learned, params, np.uint32(0))
+    actual = greedy_return(learner, env, learner.prepare(env), run.learned, params, np.uint32(0), EPISODES)
     assert actual.dtype == jnp.float32
     assert float(actual) == pytest.approx(walk.program.greedy_return(outcomes(domain)), abs=1e-4)
     assert -90 < float(actual) < -3
