@@ -4,7 +4,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
-from jax import Array
+import jax.numpy as jnp
+from jax import Array, lax
 
 from hrljax.core.flags import Flag
 from hrljax.envs.base import AnyTabularEnvironment
@@ -103,6 +104,27 @@ class SubtaskRoot(Root[Prepared, Tables, Memory, Question]):
         self, prepared: Prepared, tables: Tables, child_value: ChildValue, state: Array, context: Context
     ) -> Array:
         """How likely each subtask is to be invoked without exploration, ``[tasks]`` float32."""
+
+
+class MemorylessRoot(SubtaskRoot[Prepared, tuple[()], tuple[()]]):
+    """Learns nothing and remembers nothing: `begin` says what it chooses in a state."""
+
+    def init(self, prepared: Prepared) -> tuple[()]:
+        return ()
+
+    def step(
+        self,
+        prepared: Prepared,
+        tables: tuple[()],
+        decision: Decision[tuple[()]],
+        transition: Transition,
+        ended: Flag,
+        discount: Array,
+        asked: Question,
+        context: Context,
+    ) -> tuple[tuple[()], Decision[tuple[()]]]:
+        decides = jnp.asarray(ended) & ~transition.terminated & context.learns
+        return tables, lax.cond(decides, lambda: self.begin(prepared, tables, asked, context), lambda: decision)
 
 
 AnySubtaskRoot: TypeAlias = SubtaskRoot[Any, Any, Any]

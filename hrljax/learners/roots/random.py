@@ -4,19 +4,18 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
-from hrljax.core.flags import Flag
 from hrljax.core.numerics import take
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.tables import TaskTables, tabulate
-from hrljax.learners.base import Context, Transition
-from hrljax.learners.roots.base import ChildValue, Decision, Question, SubtaskRoot
+from hrljax.learners.base import Context
+from hrljax.learners.roots.base import ChildValue, Decision, MemorylessRoot, Question
 
 
 @dataclass(frozen=True)
-class RandomRoot(SubtaskRoot[TaskTables, tuple[()], tuple[()]]):
+class RandomRoot(MemorylessRoot[TaskTables]):
     """Chooses uniformly among the subtasks that can be invoked, and learns nothing (thesis Fig. 4.2(b))."""
 
     name = "random"
@@ -24,28 +23,11 @@ class RandomRoot(SubtaskRoot[TaskTables, tuple[()], tuple[()]]):
     def prepare(self, hierarchy: Hierarchy, env: AnyTabularEnvironment) -> TaskTables:
         return tabulate(hierarchy, env)
 
-    def init(self, prepared: TaskTables) -> tuple[()]:
-        return ()
-
     def begin(self, prepared: TaskTables, tables: tuple[()], asked: Question, context: Context) -> Decision[tuple[()]]:
         count = take(jnp.asarray(prepared.root_counts), asked.state)
         slot = (asked.word % count.astype(jnp.uint32)).astype(jnp.int32)
         width = prepared.root_children.shape[1]
         return Decision(take(jnp.asarray(prepared.root_children.ravel()), asked.state * width + slot) - 1, ())
-
-    def step(
-        self,
-        prepared: TaskTables,
-        tables: tuple[()],
-        decision: Decision[tuple[()]],
-        transition: Transition,
-        ended: Flag,
-        discount: Array,
-        asked: Question,
-        context: Context,
-    ) -> tuple[tuple[()], Decision[tuple[()]]]:
-        decides = jnp.asarray(ended) & ~transition.terminated & context.learns
-        return tables, lax.cond(decides, lambda: self.begin(prepared, tables, asked, context), lambda: decision)
 
     def probabilities(
         self, prepared: TaskTables, tables: tuple[()], child_value: ChildValue, state: Array, context: Context
