@@ -18,13 +18,14 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks, choices
-from hrljax.core.numerics import put_row, take_row
+from hrljax.core.numerics import put_row, take, take_row
 from hrljax.envs.base import AnyEnvironment
 from hrljax.envs.mario.competition import Episode
 from hrljax.envs.mario.engine.state import MAX_SPRITES
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
 from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
+from hrljax.learners.fading import Fading, Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.relational.search_root import Plan, SearchRoot
 from hrljax.learners.roots.base import Decision
@@ -50,6 +51,7 @@ class Tables(NamedTuple):
     weights: Array  # [(concepts + 1) * A] float32; the last row belongs to the action alone
     trail: Trail | None  # None without traces
     root: chex.ArrayTree  # of the root; () without one
+    seen: Seen | None = None  # what a pseudo-reward that fades goes by, concept by concept
 
 
 Suggestion: TypeAlias = "Decision[Plan] | None"
@@ -76,7 +78,8 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
 
     Attributes:
         root: what suggests actions; None for relational SARSA alone.
-        pseudo_reward: bonus for the suggested action when choosing, or a schedule of the episode.
+        pseudo_reward: bonus for the suggested action when choosing; a number, a schedule of the episode or
+            `hrljax.Fading`, by how often the least known of the concepts that hold has occurred.
         step_size: in (0, 1], or a schedule; for every concept that holds.
         epsilon: probability of a random action, or a schedule.
         discount: in [0, 1].
@@ -88,7 +91,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
     """
 
     root: SearchRoot | None = None
-    pseudo_reward: Hyperparameter = hyperparameter(0.0, schedule=True)
+    pseudo_reward: "Hyperparameter | Fading" = hyperparameter(0.0, schedule=True, settings=Fading)
     step_size: Hyperparameter = hyperparameter(0.05, 0, 1, low_open=True, schedule=True)
     epsilon: Hyperparameter = hyperparameter(0.01, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(0.7, 0, 1)
@@ -128,14 +131,17 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             cells = jnp.zeros((self.trace_length, MAX_SPRITES), jnp.int32)
             trail = Trail(cells, places, places, jnp.int32(0))
         root: chex.ArrayTree = () if self.root is None else self.root.init(prepared.env)
-        return LearnerState(Tables(weights, trail, root), Control(jnp.int32(0), None))
+        seen = self.pseudo_reward.nothing_seen(NUM_OBJECT_CELLS + 1) if isinstance(self.pseudo_reward, Fading) else None
+        return LearnerState(Tables(weights, trail, root, seen), Control(jnp.int32(0), None))
 
     def begin(self, prepared: Prepared, tables: Tables, first: Episode, words: Words, context: Context) -> Control:
         decision: Suggestion = None
         if self.root is not None:
             decision = self.root.begin(prepared.env, tables.root, first, context)
-        values = self._values(prepared, tables.weights, _concepts(first))
-        return Control(self._choose(values, decision, words[0], context), decision)
+        concepts = _concepts(first)
+        values = self._values(prepared, tables.weights, concepts)
+        bonus = self._bonus(tables.seen, concepts, context)
+        return Control(self._choose(values, bonus, decision, words[0], context), decision)
 
     def action(self, control: Control) -> Array:
         return control.action
@@ -151,9 +157,10 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             root, decision = self.root.step(
                 prepared.env, root, decision, transition, True, discount, transition.next_state, context
             )
-        before = _concepts(transition.state)
-        values = self._values(prepared, tables.weights, _concepts(transition.next_state))
-        action = self._choose(values, decision, words[0], context)
+        before, after = _concepts(transition.state), _concepts(transition.next_state)
+        seen = self._after_seeing(tables.seen, before, transition, context)
+        values = self._values(prepared, tables.weights, after)
+        action = self._choose(values, self._bonus(seen, after, context), decision, words[0], context)
         q_next = choices.pick(values, action) if self.bootstrap == "on_policy" else choices.greedy(values)[1]
         q_next = lax.select(transition.terminated, jnp.float32(0), q_next)
         target = td_target(transition.reward, context.discounted(discount), q_next)
@@ -168,7 +175,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             trail = trail._replace(length=lax.select(is_over, jnp.int32(0), trail.length))
         else:
             trail, weights = None, self._added(prepared, tables.weights, before, transition.action, change)
-        return LearnerState(Tables(weights, trail, root), Control(action, decision))
+        return LearnerState(Tables(weights, trail, root, seen), Control(action, decision))
 
     def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
         if self.root is None:
@@ -217,10 +224,41 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         reach = lax.min(trail.length, jnp.int32(length))
         return lax.while_loop(lambda carry: carry[0] < reach, add, (jnp.int32(0), weights, change))[1]
 
-    def _choose(self, values: list[Array], decision: Suggestion, word: Array, context: Context) -> Array:
+    def _after_seeing(
+        self, seen: Seen | None, concepts: Concepts, transition: Transition, context: Context
+    ) -> Seen | None:
+        """What the pseudo-reward goes by after a step in which concepts held."""
+        if seen is None or not isinstance(self.pseudo_reward, Fading):
+            return None
+        cells, count = concepts
+        once = jnp.asarray(context.learns).astype(jnp.float32)
+
+        def add(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            i, visits = carry
+            return i + 1, put_row(visits, cells[i], take_row(visits, cells[i], 1) + once)
+
+        # The action alone is a concept that always holds.
+        counted = self.pseudo_reward.after_seeing(seen, jnp.int32(NUM_OBJECT_CELLS), transition.reward, context)
+        return counted._replace(visits=lax.while_loop(lambda c: c[0] < count, add, (jnp.int32(0), counted.visits))[1])
+
+    def _bonus(self, seen: Seen | None, concepts: Concepts, context: Context) -> Array:
+        """The pseudo-reward where concepts hold."""
+        if seen is None or not isinstance(self.pseudo_reward, Fading):
+            return jnp.asarray(at_episode(self.pseudo_reward, context.episode))
+        cells, count = concepts
+        visits = seen.visits
+
+        def least(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            i, fewest = carry
+            return i + 1, lax.min(fewest, take(visits, cells[i]))
+
+        start = jnp.int32(0), visits[NUM_OBJECT_CELLS]
+        _, fewest = lax.while_loop(lambda carry: carry[0] < count, least, start)
+        return self.pseudo_reward.at(seen, fewest, context)
+
+    def _choose(self, values: list[Array], bonus: Array, decision: Suggestion, word: Array, context: Context) -> Array:
         """The greedy action, with the bonus for what the root suggests, or with probability epsilon any."""
         if decision is not None:
-            bonus = jnp.asarray(at_episode(self.pseudo_reward, context.episode))
             no_bonus = jnp.float32(0)
             values = [value + lax.select(decision.task == a, bonus, no_bonus) for a, value in enumerate(values)]
         best = choices.greedy(values)[0]

@@ -144,6 +144,35 @@ def test_a_huge_pseudo_reward_follows_the_root(walk: Recorded):
     assert all(int(control.action) == int(control.decision.task) for control in controls)
 
 
+def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Recorded):
+    """Choices of a plain program that is told what the root suggests."""
+    fading = hrl.Fading(worth=1.0, after=5.0)
+    learner = RelationalHORDQ(ROOT, epsilon=0.0, pseudo_reward=fading, step_size=0.2, discount=0.9)
+    tables, controls = replayed(learner, walk)
+    python, visits, mean = PythonSARSA(learner), np.zeros(NUM_OBJECT_CELLS + 1, F), F(0)
+    obeyed = []
+    for number, control in enumerate(controls):
+        concepts = python.concepts(walk.steps[number - 1].next_state if number else walk.first)
+        values = python.values(concepts)
+        if number:
+            step = walk.steps[number - 1]
+            before = python.concepts(step.state)
+            np.add.at(visits, [*before, -1], F(1))
+            mean = mean + (abs(F(step.reward)) - mean) / F(number)
+        kappa = F(1.0 * 5.0) * mean / (F(5) + min(visits[[*concepts, -1]]))
+        biased = values + np.where(np.arange(ACTIONS) == int(control.decision.task), kappa, F(0))
+        assert int(control.action) == int(biased.argmax())
+        obeyed.append(int(control.action) == int(control.decision.task))
+        if number:
+            follows = F(0) if step.terminated else values[int(control.action)]
+            change = F(0.2) * (F(step.reward) + F(0.9) * follows - python.values(before)[int(step.action)])
+            for concept in [-1, *before]:
+                python.weights[concept, int(step.action)] += change
+    np.testing.assert_array_equal(np.asarray(tables.weights).reshape(-1, ACTIONS), python.weights)
+    np.testing.assert_array_equal(tables.seen.visits, visits)
+    assert 0 < sum(obeyed) < len(obeyed)
+
+
 def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Recorded, monkeypatch: pytest.MonkeyPatch):
     loops, search = [], search_root.best_first_search
 
