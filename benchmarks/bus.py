@@ -1,6 +1,7 @@
 """Million environment-and-learning steps a second on the Bus domain, side by side with peers.
 
-Cases: Q-learning; HORDQ(5) under a random root; HORDQ(5) under the model-based root. Contestants:
+Cases: Q-learning; HORDQ(5), and HORDQ with shared values and a pseudo-reward that fades, each under a
+random root and under the model-based root. Contestants:
 hrljax's native loop; the same algorithm as a hand-written numba loop; the plain vmap way with
 jax.random in the step (Q-learning); a learner that takes one step a Python call, simple_rl
 (Q-learning). All run in turns, round after round, so that a change of the machine's speed meets
@@ -51,6 +52,8 @@ LEARNERS = {
     "Q-learning": hrl.QLearning(initial_value=-25.0),
     "HORDQ(5)+random": hrl.HORDQ(HIERARCHY, hrl.RandomRoot(), pseudo_reward=5.0, initial_value=-25.0),
     "HORDQ(5)+model": hrl.HORDQ(HIERARCHY, ROOT, pseudo_reward=5.0, initial_value=-25.0),
+    "shared HORDQ(fading)+random": hrl.SharedHORDQ(HIERARCHY, hrl.RandomRoot(), initial_value=-25.0),
+    "shared HORDQ(fading)+model": hrl.SharedHORDQ(HIERARCHY, ROOT, initial_value=-25.0),
     "HORDQ(5)+model, decisions only": hrl.HORDQ(
         HIERARCHY, hrl.ModelRoot(sweeps=0), pseudo_reward=5.0, initial_value=-25.0
     ),
@@ -99,14 +102,18 @@ def by_numba(case: str, cores: int, episodes: int, looked_up: bool = False) -> C
     moves, start = ENV._moves, ENV.layout.start
     root = LEARNERS[case].root if case != "Q-learning" else ROOT
     shape = (points.num_x, points.num_slots, points.num_outcomes)
+    is_shared = "shared" in case
+    fading = hrl.Fading()
+    obedience = (np.float32(fading.worth), np.float32(fading.after)) if is_shared else (5.0,)
     arguments = (
-        np.float32(-25), 5.0, "model" in case, root.interval if "model" in case else 1,
+        np.float32(-25), *obedience, "model" in case, root.interval if "model" in case else 1,
         root.sweeps if "model" in case else 0, np.float32(-30), moves, start,
         layout.active_bits.astype(np.int32), layout.goal, tasks.root_children, tasks.root_counts,
         points.point, points.planning, points.tasks, points.can_invoke, points.outcomes.reshape(shape),
     )  # fmt: skip
     q_learning = numba_bus.q_learning_looked_up if looked_up else numba_bus.q_learning
-    flat, hierarchical = (numba_bus.numba.njit(nogil=True)(f.py_func) for f in (q_learning, numba_bus.hordq))
+    loops = (q_learning, numba_bus.shared_hordq if is_shared else numba_bus.hordq)
+    flat, hierarchical = (numba_bus.numba.njit(nogil=True)(loop.py_func) for loop in loops)
     table: Any = outcome_table(ENV, concrete_params(ENV.default_params))
     steps = (table.entries, table.rewards) if looked_up else moves
 

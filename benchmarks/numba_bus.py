@@ -148,6 +148,47 @@ def _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown):
             fresh[i, j] = best
 
 
+@numba.njit(inline="always")
+def _invoked(model, until_end, values, outcomes, can_invoke, unknown, i, j, x):
+    """The slot of the subtask that the planning root invokes in a decision point."""
+    _, slots, num_m = outcomes.shape
+    best, slot, allowed = np.float32(-np.inf), 0, 0
+    for k in range(slots):
+        if not can_invoke[i, k, j]:
+            continue
+        allowed += 1
+        value = unknown
+        if model[i, k, num_m, j] > 0:
+            value = until_end[i, k, j]
+            for m in range(num_m):
+                if outcomes[i, k, m] < 0:
+                    break
+                value += model[i, k, m, j] * values[outcomes[i, k, m], j]
+        if value > best:
+            best, slot = value, k
+    values[i, j] = best
+    if _below(x >> np.uint64(20), EPSILON):
+        skip = np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % allowed
+        for k in range(slots):
+            if can_invoke[i, k, j]:
+                if skip == 0:
+                    slot = k
+                skip -= 1
+    return slot
+
+
+@numba.njit(inline="always")
+def _observed(model, outcomes, i, slot, j, ended_in):
+    """Updates the planning root's model after a subtask has ended in a planning part, -1 with the episode."""
+    num_m = outcomes.shape[2]
+    count = model[i, slot, num_m, j] + np.float32(1)
+    step_size = max(ALPHA, np.float32(1) / count)
+    for m in range(num_m):
+        reached = np.float32(outcomes[i, slot, m] == ended_in and ended_in >= 0)
+        model[i, slot, m, j] += step_size * (reached - model[i, slot, m, j])
+    model[i, slot, num_m, j] = count
+
+
 @numba.njit
 def hordq(
     seed, episodes, bins, initial, kappa, plan, interval, sweeps, unknown,
@@ -182,31 +223,12 @@ def hordq(
             if first or (exited and not end):
                 if plan:
                     i, j = point[s] // num_y, point[s] % num_y
-                    best, slot, allowed = np.float32(-np.inf), 0, 0
                     for k in range(slots):
-                        if not can_invoke[i, k, j]:
-                            continue
-                        allowed += 1
-                        place = tasks[i * slots + k] * STATES + s
-                        b = _greedy(q, place)
-                        until_end[i, k, j] = q[place, b, 0] + q[place, b, 1]
-                        value = unknown
-                        if model[i, k, num_m, j] > 0:
-                            value = until_end[i, k, j]
-                            for m in range(num_m):
-                                if outcomes[i, k, m] < 0:
-                                    break
-                                value += model[i, k, m, j] * values[outcomes[i, k, m], j]
-                        if value > best:
-                            best, slot = value, k
-                    values[i, j] = best
-                    if _below(x >> np.uint64(20), EPSILON):
-                        skip = np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % allowed
-                        for k in range(slots):
-                            if can_invoke[i, k, j]:
-                                if skip == 0:
-                                    slot = k
-                                skip -= 1
+                        if can_invoke[i, k, j]:
+                            place = tasks[i * slots + k] * STATES + s
+                            b = _greedy(q, place)
+                            until_end[i, k, j] = q[place, b, 0] + q[place, b, 1]
+                    slot = _invoked(model, until_end, values, outcomes, can_invoke, unknown, i, j, x)
                     next_task = tasks[i * slots + slot]
                 else:
                     next_task = children[s, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s]] - 1
@@ -239,12 +261,103 @@ def hordq(
             x = y
             exited = (active[s] >> task) & 1 == 0
             if plan and (exited or end):
-                count = model[i, slot, num_m, j] + np.float32(1)
-                step_size = max(ALPHA, np.float32(1) / count)
-                for m in range(num_m):
-                    reached = np.float32(outcomes[i, slot, m] == planning[s] and not end)
-                    model[i, slot, m, j] += step_size * (reached - model[i, slot, m, j])
-                model[i, slot, num_m, j] = count
+                _observed(model, outcomes, i, slot, j, np.int32(-1) if end else planning[s])
+            out_row[0] += r
+            out_row[1] += 1
+            out_row[2] += hit
+            out_row[3] += broke
+            steps += 1
+    return out, steps
+
+
+@numba.njit(inline="always")
+def _biased(q, p, kappa, s, place):
+    a = 0
+    best = q[s, 0] + kappa * p[place, 0, 0]
+    for b in range(1, 4):
+        v = q[s, b] + kappa * p[place, b, 0]
+        if v > best:
+            best, a = v, b
+    return a
+
+
+@numba.njit
+def shared_hordq(
+    seed, episodes, bins, initial, worth, after, plan, interval, sweeps, unknown,
+    moves, start, active, goal, children, counts, point, planning, tasks, can_invoke, outcomes,
+):  # fmt: skip
+    """HORDQ with shared values and a pseudo-reward that fades; roots and results as of `hordq`."""
+    q = np.full((STATES, 4), initial, np.float32)
+    p = np.zeros((TASKS * STATES, 4, 2), np.float32)  # values of a pseudo-reward of 1, returns until the end
+    visits = np.zeros(STATES, np.float32)
+    mean_reward, taken = np.float32(0), np.float32(0)
+    out = np.zeros((bins, 4), np.float64)
+    num_x, slots, num_m = outcomes.shape
+    num_y = can_invoke.shape[2]
+    model = np.zeros((num_x, slots, num_m + 1, num_y), np.float32)
+    until_end = np.zeros((num_x, slots, num_y), np.float32)
+    values = np.full((num_x, num_y), unknown, np.float32)
+    fresh = np.zeros((num_x, num_y), np.float32)
+    x = np.uint64(seed * 2654435761 + 88172645463325252)
+    steps = 0
+    task = next_task = i = j = slot = a = row = before = 0
+    r = np.float32(0)
+    for episode in range(episodes):
+        if plan and episode % interval == 0:
+            for _ in range(sweeps):
+                _sweep(model, until_end, values, fresh, outcomes, can_invoke, unknown)
+                values, fresh = fresh, values
+        x = _next(x)
+        s = _initial(start, x)
+        x = _next(x)
+        out_row = out[episode * bins // episodes]
+        first, exited, end = True, False, False
+        for step in range(MAX_STEPS + 1):
+            if not first:
+                visits[before] += np.float32(1)
+                taken += np.float32(1)
+                mean_reward += (abs(r) - mean_reward) / taken
+            kappa = worth * after * mean_reward / (after + visits[s])
+            if first or (exited and not end):
+                if plan:
+                    i, j = point[s] // num_y, point[s] % num_y
+                    for k in range(slots):
+                        if can_invoke[i, k, j]:
+                            place = tasks[i * slots + k] * STATES + s
+                            until_end[i, k, j] = p[place, _biased(q, p, kappa, s, place), 1]
+                    slot = _invoked(model, until_end, values, outcomes, can_invoke, unknown, i, j, x)
+                    next_task = tasks[i * slots + slot]
+                else:
+                    next_task = children[s, np.int32((x >> np.uint64(44)) & np.uint64(0xFFFF)) % counts[s]] - 1
+            if not first:
+                best = max(max(q[s, 0], q[s, 1]), max(q[s, 2], q[s, 3]))
+                target, t_p, t_u = r, np.float32(0), r
+                if not end:
+                    target += best
+                if exited:
+                    t_p = goal[task, s]
+                elif not end:
+                    row2 = task * STATES + s
+                    b = _biased(q, p, kappa, s, row2)
+                    t_p = p[row2, b, 0]
+                    t_u += p[row2, b, 1]
+                q[before, a] += ALPHA * (target - q[before, a])
+                p[row, a, 0] += ALPHA * (t_p - p[row, a, 0])
+                if plan:
+                    p[row, a, 1] += ALPHA * (t_u - p[row, a, 1])
+            if end or step == MAX_STEPS:
+                break
+            first = False
+            task = next_task
+            x = _next(x)
+            y = _next(x)
+            row, before = task * STATES + s, s
+            a = np.int32((x >> np.uint64(24)) & np.uint64(3)) if _below(x, EPSILON) else _biased(q, p, kappa, s, row)
+            s, r, end, hit, broke = _step(moves, start, s, a, x, y)
+            x = y
+            exited = (active[s] >> task) & 1 == 0
+            if plan and (exited or end):
+                _observed(model, outcomes, i, slot, j, np.int32(-1) if end else planning[s])
             out_row[0] += r
             out_row[1] += 1
             out_row[2] += hit
