@@ -313,11 +313,12 @@ def shared_hordq(
         out_row = out[episode * bins // episodes]
         first, exited, end = True, False, False
         for step in range(MAX_STEPS + 1):
+            # By what was seen before the step.
+            kappa = worth * after * mean_reward / (after + visits[s])
             if not first:
                 visits[before] += np.float32(1)
                 taken += np.float32(1)
                 mean_reward += (abs(r) - mean_reward) / taken
-            kappa = worth * after * mean_reward / (after + visits[s])
             if first or (exited and not end):
                 if plan:
                     i, j = point[s] // num_y, point[s] % num_y

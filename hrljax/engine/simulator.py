@@ -100,16 +100,15 @@ class _LookedUp(_Tabular):
         super().__init__(env, params, num_learner_words)
         self._table = table
 
-    def block(self, key: tuple[Array, Array], start: Count) -> tuple[Array, Array]:
-        """``[BLOCK]`` places in the table, and the learner's words, word by word."""
+    def block(self, key: tuple[Array, Array], start: Count) -> tuple[Array, tuple[Array, ...]]:
+        """``[BLOCK]`` places in the table, and as many of each of the learner's words."""
         words = super().block(key, start).columns()
         of_env, of_learner = words[: self.env.num_words], words[self.env.num_words :]
         place = self._table.place(of_env) if of_env else jnp.zeros(BLOCK, jnp.int32)
-        return place, jnp.concatenate(of_learner) if of_learner else jnp.zeros(0, jnp.uint32)
+        return place, of_learner
 
-    def learner_words(self, block: tuple[Array, Array], position: Array) -> tuple[Array, ...]:
-        count = len(block[1]) // BLOCK
-        return tuple(take(block[1], position + jnp.int32(i * BLOCK)) for i in range(count))
+    def learner_words(self, block: tuple[Array, tuple[Array, ...]], position: Array) -> tuple[Array, ...]:
+        return tuple(take(words, position) for words in block[1])
 
     def _outcome(self, state: Array, action: Array, block: Any, position: Array) -> tuple[Array, Array, Array]:
         return self._table.look_up(take(block[0], position), state, action)

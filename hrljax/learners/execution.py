@@ -156,7 +156,7 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         tables: StackTables = state.tables
         before: StackState = state.control
         layout, after = prepared.layout, transition.next_state
-        tables = tables._replace(seen=self.after_seeing(tables.seen, transition, context))
+        # Choices go by what was seen before the step: to wait for what it adds takes long.
         known = Known(layout, tables.q, tables.seen, context)
         ends = self._ends(layout, before, transition)
         discount = jnp.asarray(at_episode(self.discount, context.episode))
@@ -185,7 +185,8 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         moves = self.moves(known, stack, transition, ends, q_next, following and following.action)
         q = moved(tables.q, moves, at_episode(self.step_size, context.episode), context)
         following = following or descend(known._replace(q=q))[0]
-        return LearnerState(tables._replace(q=q), following._replace(memory=memory))
+        seen = self.after_seeing(tables.seen, transition, context)
+        return LearnerState(tables._replace(q=q, seen=seen), following._replace(memory=memory))
 
     def plan(self, prepared: Prepared, tables: StackTables, context: Context) -> StackTables:
         if self.root is None:

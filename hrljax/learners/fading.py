@@ -12,7 +12,7 @@ from hrljax.learners.hyperparameters import Hyperparameter, Settings, at_episode
 
 
 class Seen(NamedTuple):
-    """What a pseudo-reward that fades goes by."""
+    """What a pseudo-reward that fades goes by, over the steps that a learner has learned from."""
 
     visits: Array  # [places] float32
     mean_reward: Array  # float32 scalar: mean |reward| of a step
@@ -25,9 +25,9 @@ class Fading(Settings):
 
         kappa(s) = worth * mean |reward| of a step / (1 + n(s) / after)
 
-    n(s) is how often this run has taken a step in s. Where everything is visited for ever, kappa tends
-    to 0, and what is learned is greedy in real rewards; no schedule over episodes is needed. To
-    multiply all rewards by a number changes nothing.
+    n(s) is how often this run has taken a step in s, the last step aside, as it is of the mean. Where
+    everything is visited for ever, kappa tends to 0, and behaviour to what is greedy in real rewards;
+    no schedule over episodes is needed. To multiply all rewards by a number changes no choice.
 
     Attributes:
         worth: how many typical steps it is worth to obey where nothing is known, at least 0.

@@ -189,7 +189,6 @@ class Decomposed:
 
     def learn(self, state: int, reward: F, after: int, terminated: bool, words: list[int]) -> None:
         self.steps_by_depth[len(self.stack)] = self.steps_by_depth.get(len(self.stack), 0) + 1
-        self.see(state, reward)
         ran = self.stack
         for frame in ran:
             frame.discount = frame.discount * F(self.learner.discount)
@@ -229,6 +228,7 @@ class Decomposed:
         if not terminated and not on_policy:
             self.descend(survivors, after, words)
         self.stack = survivors
+        self.see(state, reward)  # after choices, which do not wait for it
 
     def taught(
         self, state: int, reward: F, after: int, terminated: bool, next_action: int | None

@@ -158,9 +158,8 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
                 prepared.env, root, decision, transition, True, discount, transition.next_state, context
             )
         before, after = _concepts(transition.state), _concepts(transition.next_state)
-        seen = self._after_seeing(tables.seen, before, transition, context)
         values = self._values(prepared, tables.weights, after)
-        action = self._choose(values, self._bonus(seen, after, context), decision, words[0], context)
+        action = self._choose(values, self._bonus(tables.seen, after, context), decision, words[0], context)
         q_next = choices.pick(values, action) if self.bootstrap == "on_policy" else choices.greedy(values)[1]
         q_next = lax.select(transition.terminated, jnp.float32(0), q_next)
         target = td_target(transition.reward, context.discounted(discount), q_next)
@@ -175,6 +174,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             trail = trail._replace(length=lax.select(is_over, jnp.int32(0), trail.length))
         else:
             trail, weights = None, self._added(prepared, tables.weights, before, transition.action, change)
+        seen = self._after_seeing(tables.seen, before, transition, context)
         return LearnerState(Tables(weights, trail, root, seen), Control(action, decision))
 
     def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:

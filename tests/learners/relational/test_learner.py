@@ -154,16 +154,15 @@ def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Recorded):
     for number, control in enumerate(controls):
         concepts = python.concepts(walk.steps[number - 1].next_state if number else walk.first)
         values = python.values(concepts)
-        if number:
-            step = walk.steps[number - 1]
-            before = python.concepts(step.state)
-            np.add.at(visits, [*before, -1], F(1))
-            mean = mean + (abs(F(step.reward)) - mean) / F(number)
         kappa = F(1.0 * 5.0) * mean / (F(5) + min(visits[[*concepts, -1]]))
         biased = values + np.where(np.arange(ACTIONS) == int(control.decision.task), kappa, F(0))
         assert int(control.action) == int(biased.argmax())
         obeyed.append(int(control.action) == int(control.decision.task))
         if number:
+            step = walk.steps[number - 1]
+            before = python.concepts(step.state)
+            np.add.at(visits, [*before, -1], F(1))
+            mean = mean + (abs(F(step.reward)) - mean) / F(number)
             follows = F(0) if step.terminated else values[int(control.action)]
             change = F(0.2) * (F(step.reward) + F(0.9) * follows - python.values(before)[int(step.action)])
             for concept in [-1, *before]:
