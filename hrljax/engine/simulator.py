@@ -102,7 +102,7 @@ class _LookedUp(_Tabular):
 
     def block(self, key: tuple[Array, Array], start: Count) -> tuple[Array, tuple[Array, ...]]:
         """``[BLOCK]`` places in the table, and as many of each of the learner's words."""
-        words = super().block(key, start).columns()
+        words = stage(super().block)(key, start).columns()
         of_env, of_learner = words[: self.env.num_words], words[self.env.num_words :]
         place = self._table.place(of_env) if of_env else jnp.zeros(BLOCK, jnp.int32)
         return place, of_learner
