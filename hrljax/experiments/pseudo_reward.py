@@ -1,4 +1,4 @@
-"""Which pseudo-reward? Fixed ones, one that is annealed and one that fades, on many domains, under good and bad roots."""
+"""Which pseudo-reward? Fixed ones, an annealed one and one that fades, on many domains, under good and bad roots."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -68,13 +68,14 @@ class Case:
     def learners(self, episodes: int) -> dict[str, tuple[AnyLearner, dict[str, tuple[float, ...]]]]:
         """Learners with axes, by name; those with the axis of pseudo-rewards stand for one rule each."""
         common: dict[str, Any] = dict(self.numbers)
+        of_maxq: dict[str, Any] = common | {"pseudo_reward": 60.0, "initial_value": 0.0}
         axis = {"pseudo_reward": FIXED}
         annealed = optax.linear_schedule(5.0, 0.0, max(1, episodes // 2))
         fading, where = Fading(), (self.hierarchy, self.root)
         return {
             "Q-learning": (QLearning(**common), {}),
             "SARSA(0)": (SARSA(**common), {}),
-            "MAXQ-Q(60)": (MAXQ(*where, pseudo_reward=60.0, **common | {"initial_value": 0.0}), {}),
+            "MAXQ-Q(60)": (MAXQ(*where, **of_maxq), {}),
             "shared": (SharedHORDQ(*where, pseudo_reward=0.0, **common), axis),
             "apart": (HORDQ(*where, pseudo_reward=0.0, **common), axis),
             "shared, 5 to 0": (SharedHORDQ(*where, pseudo_reward=annealed, **common), {}),
@@ -180,19 +181,17 @@ _SHOWN = (
 def table(rows: list[Row]) -> str:
     """The rows as text: the best in hindsight over the whole run, and how many percent others are behind it."""
     names = [rule for rule in _SHOWN if any(row["rule"] == rule for row in rows)]
-    lines = [
-        f"{'percent behind (whole run / last tenth)':26}{'best in hindsight':>26}"
-        + "".join(f"{n:>17.16}" for n in names)
-    ]
+    head = f"{'% behind, whole / last tenth':30}{'best in hindsight':>26}"
+    lines = [head + "".join(f"{name.removesuffix(' active'):>21}" for name in names)]
     for domain, root in dict.fromkeys((row["domain"], row["root"]) for row in rows):
         here = {row["rule"]: row for row in rows if (row["domain"], row["root"]) == (domain, root)}
         best = here.get(next(iter(here.values())).get("best_whole", ""))
-        head = "" if best is None else f"{best['rule']} {best['whole']['mean']:.1f}"
+        best_rule = "" if best is None else f"{best['rule']} {best['whole']['mean']:.1f}"
         cells = [
             f"{row['percent_whole']:+7.1f} /{row['percent_last_tenth']:+6.1f}" if row and "percent_whole" in row else ""
             for row in map(here.get, names)
         ]
-        lines.append(f"{domain + ', ' + root:26.26}{head:>26}" + "".join(f"{cell:>17}" for cell in cells))
+        lines.append(f"{domain + ', ' + root:30}{best_rule:>26}" + "".join(f"{cell:>21}" for cell in cells))
     return "\n".join(line.rstrip() for line in lines)
 
 
