@@ -17,7 +17,7 @@ FIGURE_4_2 = ROOT / "scripts" / "figure_4_2.py"
 
 
 def test_figure_4_2_writes_its_picture_its_table_and_its_summary(tmp_path: Path):
-    """The only whole run: about half a minute, nearly all of it compilation of fourteen curves."""
+    """The only whole run: about half a minute, nearly all of it compilation of sixteen curves."""
     out = tmp_path / "new" / "folder"
     options = ["--seeds", "2", "--episodes", "400", "--out", str(out), "--cores", "1"]
     done = subprocess.run([sys.executable, FIGURE_4_2, *options], capture_output=True, text=True, cwd=tmp_path)
@@ -32,7 +32,7 @@ def test_figure_4_2_writes_its_picture_its_table_and_its_summary(tmp_path: Path)
     expected = {"blind": -46.99, "avoid": -35.75, "no_sites": -19.90, "epsilon_soft": -27.75}
     assert exact == pytest.approx(expected, abs=0.01)
 
-    planned = ["HORDQ(0)", "HORDQ(5)", "HORDQ(60)", "HORDQ(5 to 0)", "MAXQ(60)"]
+    planned = ["HORDQ(0)", "HORDQ(5)", "HORDQ(60)", "HORDQ(5 to 0)", "MAXQ(60)", "shared, fading"]
     by_panel = {panel: [c["name"] for c in summary["curves"] if c["panel"] == panel] for panel in ("model", "random")}
     assert by_panel == {"model": planned, "random": planned}
     assert [c["name"] for c in summary["curves"] if c["panel"] == "both"] == ["SARSA(0)", "Q-learning"]

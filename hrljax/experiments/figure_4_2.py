@@ -20,6 +20,7 @@ from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.learners.roots.model import ModelRoot
 from hrljax.learners.roots.random import RandomRoot
+from hrljax.learners.shared import SharedHORDQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
 from hrljax.sweeps.sweep import sweep
 
@@ -45,7 +46,10 @@ class Curve:
 
 
 def curves(num_episodes: int) -> list[Curve]:
-    """The learners. Every value starts at -25, near those of the optimal policy; MAXQ's at 0."""
+    """The thesis's learners, and HORDQ with shared values and a pseudo-reward that fades.
+
+    Every value starts at -25, near those of the optimal policy; MAXQ's at 0.
+    """
     hierarchy = Bus().hierarchy()
     annealed = optax.linear_schedule(5.0, 0.0, max(1, num_episodes // 2))
     learners = [
@@ -57,6 +61,7 @@ def curves(num_episodes: int) -> list[Curve]:
             learner = HORDQ(hierarchy, root, pseudo_reward=pseudo_reward, initial_value=-25.0)
             learners.append(Curve(f"HORDQ({name})", panel, learner))
         learners.append(Curve("MAXQ(60)", panel, MAXQ(hierarchy, root, pseudo_reward=60.0)))
+        learners.append(Curve("shared, fading", panel, SharedHORDQ(hierarchy, root, initial_value=-25.0)))
     in_backup = PseudoRewardInBackup(hierarchy, RandomRoot(), pseudo_reward=5.0, initial_value=-25.0)
     learners.append(Curve("MAXQ(0), random root", "fails", MAXQ(hierarchy, RandomRoot(), pseudo_reward=0.0)))
     learners.append(Curve("HORDQ(5 in the backup), random root", "fails", in_backup))

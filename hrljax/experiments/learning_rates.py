@@ -14,9 +14,12 @@ from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
 from hrljax.experiments.rows import Row, interval_row
+from hrljax.hierarchy.leaf_cover import total_leaf_cover
+from hrljax.hierarchy.tables import tabulate
 from hrljax.learners.base import AnyLearner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
+from hrljax.learners.shared import SharedHORDQ
 from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
 from hrljax.sweeps.sweep import sweep
 
@@ -43,13 +46,18 @@ class Domain:
         return self.env.default_params._replace(max_steps=self.max_steps)
 
     def learners(self) -> dict[str, AnyLearner]:
-        """Flat and hierarchical learners; roots learn as any subtask. MAXQ's values of a subtask start at 0."""
+        """Flat and hierarchical learners; roots learn as any subtask. MAXQ's values of a subtask start at 0.
+
+        The pseudo-reward of the shared values fades by itself.
+        """
         hierarchy, initial = self.env.hierarchy(), self.initial_value
+        complete = total_leaf_cover(hierarchy, active=tabulate(hierarchy, self.env).active).hierarchy
         return {
             "Q-learning": QLearning(epsilon=_EPSILON, initial_value=initial),
             "SARSA(0)": SARSA(epsilon=_EPSILON, initial_value=initial),
             "MAXQ-Q": MAXQ(hierarchy, epsilon=_EPSILON),
             "HORDQ": HORDQ(hierarchy, epsilon=_EPSILON, initial_value=initial),
+            "shared HORDQ": SharedHORDQ(complete, epsilon=_EPSILON, initial_value=initial),
         }
 
 

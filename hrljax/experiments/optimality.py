@@ -28,6 +28,7 @@ from hrljax.learners.options.definition import options_from
 from hrljax.learners.options.learner import OptionQ
 from hrljax.learners.rmax import RMax
 from hrljax.learners.roots.model import ModelRoot
+from hrljax.learners.shared import SharedHORDQ
 from hrljax.learners.traces import SARSALambda
 from hrljax.solvers.hierarchical import Optima, solve_hierarchy
 from hrljax.sweeps.sweep import sweep
@@ -72,6 +73,7 @@ def _neighbours(env: AnyTabularEnvironment, maxq: float, hordq: float, **numbers
         "MAXQ-Q": MAXQ(hierarchy, pseudo_reward=maxq, **numbers),
         "HORDQ": HORDQ(hierarchy, pseudo_reward=hordq, **numbers),
         "HORDQ, total leaf cover": HORDQ(complete, pseudo_reward=hordq, **numbers),
+        "shared HORDQ, total leaf cover": SharedHORDQ(complete, **numbers),
     }
 
 
@@ -85,6 +87,7 @@ def domains() -> list[Domain]:
     on_bus["MAXQ-Q"] = MAXQ(bus.hierarchy(), pseudo_reward=60.0)
     on_bus["MAXQ-0"] = MAXQ0(bus.hierarchy())
     on_bus["HORDQ, model-based root"] = HORDQ(bus.hierarchy(), ModelRoot(), pseudo_reward=5.0, initial_value=-25.0)
+    on_bus["shared HORDQ, model-based root"] = SharedHORDQ(bus.hierarchy(), ModelRoot(), initial_value=-25.0)
     return [
         Domain("Maze", maze, 200, 2_000, 0.0, in_maze),
         Domain("Taxi", taxi, 1024, 65_536, 1.0, in_taxi),
@@ -166,14 +169,14 @@ def table(exact_rows: list[Row], rows: list[Row]) -> str:
         lines.append(f"{row['domain']:15}{values[0]:10.4f}{values[1]:16.4f}{values[2]:21.4f}")
     lines.append("")
     lines.append(
-        f"{'reached by':32}{'online':>9} {'±95%':>6}{'greedy':>10}{'median':>9}{'best':>9}  Msteps/s  a C++ peer"
+        f"{'reached by':38}{'online':>9} {'±95%':>6}{'greedy':>10}{'median':>9}{'best':>9}  Msteps/s  a C++ peer"
     )
     for row in rows:
         low, high = row["online"]["lo"], row["online"]["hi"]
         half = (high - low) / 2 if low is not None else float("nan")
         peer = PEERS.get(row["learner"]) if row["domain"] == "Taxi" else None
         lines.append(
-            f"{row['domain'] + ': ' + row['learner']:32}{row['online']['mean']:9.3f} {half:6.3f}"
+            f"{row['domain'] + ': ' + row['learner']:38}{row['online']['mean']:9.3f} {half:6.3f}"
             f"{row['greedy']['mean']:10.3f}{row['greedy']['median']:9.3f}{row['greedy']['best']:9.3f}"
             f"{row['steps_per_second'] / 1e6:10.1f}  " + (f"{peer[0]:.2f} ± {1.96 * peer[1]:.2f}" if peer else "")
         )
@@ -194,7 +197,7 @@ def maze_picture(optima: Optima) -> Figure:
 def taxi_picture(results: dict[str, xr.Dataset], optimum: float) -> Figure:
     """Learning curves of flat Q-learning, MAXQ-Q, HORDQ and options on Taxi."""
     figure = Figure(figsize=(9, 5.4), layout="constrained")
-    names = ("Q-learning", "options, SMDP Q", "HAMQ", "MAXQ-Q", "HORDQ", "HORDQ, total leaf cover")
+    names = ("Q-learning", "options, SMDP Q", "HAMQ", "MAXQ-Q", "HORDQ", "shared HORDQ, total leaf cover")
     shown = {name: results[name] for name in names if name in results}
     ax = plots.learning_curves(shown, references={"optimum": optimum}, ax=figure.subplots())
     last = max((int(dataset["episode"].values[-1]) for dataset in shown.values()), default=1)

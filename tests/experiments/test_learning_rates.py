@@ -45,7 +45,7 @@ def test_it_writes_pictures_a_table_and_stores(written: Path):
     for name in pictures:
         assert (written / name).read_bytes().startswith(b"\x89PNG")
         assert (written / name).stat().st_size > 10_000
-    learners = ["HORDQ", "MAXQ-Q", "Q-learning", "SARSA(0)"]
+    learners = ["HORDQ", "MAXQ-Q", "Q-learning", "SARSA(0)", "shared HORDQ"]
     assert sorted(path.name for path in (written / "stores").iterdir()) == [f"Maze-{name}.zarr" for name in learners]
 
 
@@ -54,11 +54,17 @@ def test_its_summary_and_its_csv_are_those_of_its_stores(written: Path):
     assert set(summary) == {"exact", "best", "comparisons"}
     exact = summary["exact"]["Maze"]
     assert exact["random"] < exact["epsilon_soft"] < exact["optimal"] < 0
-    assert [row["learner"] for row in summary["best"]] == ["Q-learning", "SARSA(0)", "MAXQ-Q", "HORDQ"]
-    assert [row["second"] for row in summary["comparisons"]] == ["Q-learning", "SARSA(0)", "MAXQ-Q"]
+    assert [row["learner"] for row in summary["best"]] == [
+        "Q-learning",
+        "SARSA(0)",
+        "MAXQ-Q",
+        "HORDQ",
+        "shared HORDQ",
+    ]
+    assert [row["second"] for row in summary["comparisons"]] == ["Q-learning", "SARSA(0)", "MAXQ-Q", "shared HORDQ"]
     with (written / "learning_rates.csv").open() as lines:
         rows = list(csv.DictReader(lines))
-    assert len(rows) == 2 + 2 + 4 + 4
+    assert len(rows) == 2 + 2 + 4 + 4 + 2
     for row in summary["best"]:
         store = hrljax.load(written / "stores" / f"Maze-{row['learner']}.zarr")
         assert store.attrs["learner"] == row["learner"]
