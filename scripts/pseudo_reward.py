@@ -25,7 +25,7 @@ class Options:
     "percent_whole" and "percent_last_tenth" of the best's size. The defaults take about half an hour on two cores.
     """
 
-    seeds: int = 50
+    seeds: int = 20
     """Runs of each rule."""
     scale: float = 1.0
     """Factor of the number of episodes."""

@@ -101,8 +101,8 @@ def cases() -> list[Case]:
         (
             "Taxi",
             Taxi(stochastic=True, rules="gymnasium"),
-            65_500,
-            1024,
+            20_000,
+            200,
             {"step_size": 0.125, "epsilon": 0.01, "initial_value": 0.0},
         ),
     ):
