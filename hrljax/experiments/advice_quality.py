@@ -228,8 +228,7 @@ def _mark_worths(ax: Axes, worth: Mapping[float, float]) -> None:
     places = list(worth.values())
     ax.set_xlim(min(places) * 1.1, max(places) * 0.95)
     ax.minorticks_off()
-    ax.set_xticks(places, [f"{place:.0f}" for place in places])
-    above = ax.secondary_xaxis("top")
-    above.minorticks_off()
-    above.set_xticks(places, [f"{quality:g}" for quality in worth])
-    above.set_xlabel("quality: 1 a planner, 0 random, below 0 misleads")
+    ax.set_xticks(places, [f"{place:.1f}" for place in places], rotation=60)
+    for quality, place in worth.items():
+        ax.text(place, 1.01, f"{quality:g}", rotation=60, ha="center", va="bottom", transform=ax.get_xaxis_transform())
+    ax.set_title("quality of the root: 1 a planner, 0 random, below 0 misleading", fontsize="medium", pad=34)
