@@ -23,6 +23,7 @@ from PIL import Image
 import hrljax
 
 SCRIPTS = {
+    "advice_quality.py": [],
     "figure_4_2.py": ["--seeds", "50", "--episodes", "4000"],
     "learning_rates.py": ["--seeds", "100"],
     "optimality.py": ["--seeds", "50"],

@@ -148,3 +148,43 @@ def test_bad_options_of_optimality_are_one_line(
         runpy.run_path(str(script), run_name="__main__")
     assert re.fullmatch(f"error: {message}", str(ended.value.code))
     assert not (tmp_path / "out").exists()
+
+
+def test_how_good_advice_has_to_be(tmp_path: Path):
+    script, out = FIGURE_4_2.with_name("advice_quality.py"), tmp_path / "runs"
+    options = ["--seeds", "2", "--scale", "0.005", "--cores", "1", "--out", str(out)]
+    done = subprocess.run([sys.executable, script, *options], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in out.iterdir()} == {"advice_quality.png", "summary.json"}
+    assert (out / "advice_quality.png").read_bytes().startswith(b"\x89PNG")
+    summary = json.loads((out / "summary.json").read_text())
+    assert set(summary) == {"worth", "runs", "break_even"}
+    worths = [row["worth"] for row in summary["worth"]]
+    assert len(worths) == 8
+    assert worths == sorted(worths, reverse=True)
+    learners = list(dict.fromkeys(row["learner"] for row in summary["runs"]))
+    assert len(summary["runs"]) == 8 * len(learners)
+    assert set(summary["break_even"]) == {name for name in learners if not name.endswith("(0)")}
+    assert all(row["gain"]["mean"] == 0 for row in summary["runs"] if row["pseudo_reward"] == 0)
+    for text in (*learners, "worth of the root", str(out)):
+        assert text in done.stdout
+    assert all(len(line) < 160 for line in done.stdout.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--seeds", "0"], "--seeds must be an integer from 1 to 2147483647, got 0"),
+        (["--scale", "nan"], r"--scale must be a finite number in \(0, 1000\), got nan"),
+    ],
+    ids=str,
+)
+def test_bad_options_of_advice_quality_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+):
+    script = FIGURE_4_2.with_name("advice_quality.py")
+    monkeypatch.setattr(sys, "argv", [str(script), "--out", str(tmp_path / "out"), *options])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(script), run_name="__main__")
+    assert re.fullmatch(f"error: {message}", str(ended.value.code))
+    assert not (tmp_path / "out").exists()

@@ -90,7 +90,12 @@ class GradedRoot(MemorylessRoot[Advice]):
     def probabilities(
         self, prepared: Advice, tables: tuple[()], child_value: ChildValue, state: Array, context: Context
     ) -> Array:
-        return jnp.asarray(choice_probabilities(prepared, float(self.quality)).astype(np.float32))[state]  # type: ignore[arg-type]
+        extremes = (choice_probabilities(prepared, quality).astype(np.float32) for quality in (1.0, -1.0, 0.0))
+        best, worst, random = (jnp.asarray(table)[state] for table in extremes)
+        quality = jnp.asarray(self.quality, jnp.float32)
+        weight = jnp.broadcast_to(jnp.abs(quality), random.shape)
+        directed = lax.select(quality > 0, best, worst)
+        return context.product(weight, directed) + context.product(1 - weight, random)
 
 
 def choice_probabilities(advice: Advice, quality: float) -> np.ndarray:
@@ -104,7 +109,7 @@ def worth(hierarchy: Hierarchy, env: AnyTabularEnvironment, quality: float) -> f
     """Expected return of an episode under a `GradedRoot` whose subtasks obey strictly, exactly."""
     of_subtasks = obedience(hierarchy, env)
     process = of_subtasks.process
-    chances = choice_probabilities(GradedRoot().prepare(hierarchy, env), quality)
+    chances = choice_probabilities(GradedRoot(quality).prepare(hierarchy, env), quality)
     policy = np.zeros((len(hierarchy.subtasks), *of_subtasks.values.shape[:1], process.shape[2]))
     for task in range(1, len(hierarchy.subtasks)):
         states = np.flatnonzero(of_subtasks.slots[task] >= 0)
