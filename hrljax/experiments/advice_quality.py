@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import SymmetricalLogLocator
 
 from hrljax import stats
 from hrljax.envs.bus.env import Bus
@@ -192,14 +193,15 @@ def table(entries: Sequence[Row], worth: Mapping[float, float]) -> str:
     advised = break_even(entries)
     lines += [line(name, (gain(by_place[name, q]) for q in worth)) for name in advised]
     lines += ["", "advice pays from a root on that is worth"]
-    lines += [
-        f"{name:{width}}{'no change of sign' if at is None else format(at, '.1f'):>14}" for name, at in advised.items()
-    ]
+    for name, at in advised.items():
+        means = [row["gain"]["mean"] for row in entries if row["learner"] == name and row["gain"]["mean"] is not None]
+        throughout = "pays everywhere" if means and max(means) > 0 else "pays nowhere"
+        lines.append(f"{name:{width}}{throughout if at is None else format(at, '.1f'):>16}")
     return "\n".join(text.rstrip() for text in lines)
 
 
 def picture(entries: Sequence[Row], worth: Mapping[float, float]) -> Figure:
-    """Gain against the worth of the root, on a logarithmic axis; the root's quality is above."""
+    """Gain against the worth of the root; the root's quality is above. Axes are logarithmic, but for gains up to 10."""
     figure = Figure(figsize=(9.5, 5.8), layout="constrained")
     ax: Axes = figure.subplots()
     markers, lines = style.markers(), style.lines()
@@ -216,6 +218,9 @@ def picture(entries: Sequence[Row], worth: Mapping[float, float]) -> Figure:
         )
     ax.axhline(0, color="#444444", ls="--", lw=1)
     ax.set_xscale("symlog", linthresh=10)
+    ax.set_yscale("symlog", linthresh=10)
+    ax.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10, subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter("{x:g}")
     _mark_worths(ax, worth)
     ax.set_xlabel("worth of the root: exact return of an episode if its advice is obeyed strictly (reward)")
     ax.set_ylabel("gain over no pseudo-reward,\nmean return of the whole run (reward)")

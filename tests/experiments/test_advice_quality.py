@@ -92,7 +92,7 @@ def test_what_is_not_finished_is_left_out():
     assert entries[-1]["gain"] == {"mean": None, "lo": None, "hi": None}
     assert entries[-1]["seeds"] == 0
     assert break_even(entries) == {"HORDQ(5)": None}
-    assert table(entries, WORTH).endswith("no change of sign")
+    assert table(entries, WORTH).endswith("pays everywhere")
     (ax,) = picture(entries, WORTH).axes
     assert [container.lines[0].get_xdata().tolist() for container in ax.containers] == [[-60]]
 
