@@ -167,32 +167,29 @@ def rows(case: Case, returns: dict[str, xr.DataArray]) -> list[Row]:
     return table
 
 
-_SHOWN = (
-    "Q-learning",
-    "SARSA(0)",
-    "MAXQ-Q(60)",
-    "shared, 5 to 0",
-    "apart, fading",
-    "shared, fading, all active",
-    DEFAULT,
-)
+_SHOWN = ("Q-learning", "SARSA(0)", "MAXQ-Q(60)", "apart, fading", "shared, 1", DEFAULT)
 
 
 def table(rows: list[Row]) -> str:
-    """The rows as text: the best in hindsight over the whole run, and how many percent others are behind it."""
-    names = [rule for rule in _SHOWN if any(row["rule"] == rule for row in rows)]
-    head = f"{'% behind, whole / last tenth':30}{'best in hindsight':>26}"
-    lines = [head + "".join(f"{name.removesuffix(' active'):>21}" for name in names)]
-    for domain, root in dict.fromkeys((row["domain"], row["root"]) for row in rows):
-        here = {row["rule"]: row for row in rows if (row["domain"], row["root"]) == (domain, root)}
-        best = here.get(next(iter(here.values())).get("best_whole", ""))
-        best_rule = "" if best is None else f"{best['rule']} {best['whole']['mean']:.1f}"
-        cells = [
-            f"{row['percent_whole']:+7.1f} /{row['percent_last_tenth']:+6.1f}" if row and "percent_whole" in row else ""
-            for row in map(here.get, names)
-        ]
-        lines.append(f"{domain + ', ' + root:30}{best_rule:>26}" + "".join(f"{cell:>21}" for cell in cells))
+    """The rows as text: how many percent rules are behind the best in hindsight, by domain and root and in all."""
+    known = [row for row in rows if "percent_whole" in row]
+    names = [rule for rule in _SHOWN if any(row["rule"] == rule for row in known)]
+    lines = [f"{'% behind, whole / last tenth':29}{'best in hindsight':>18}" + "".join(f"{name:>19}" for name in names)]
+    for domain, root in dict.fromkeys((row["domain"], row["root"]) for row in known):
+        by_name = {row["rule"]: row for row in known if (row["domain"], row["root"]) == (domain, root)}
+        best = by_name[next(iter(by_name.values()))["best_whole"]]
+        cells = ["" if row is None else _percents(row) for row in map(by_name.get, names)]
+        head = f"{domain + ', ' + root:29}{best['rule'] + format(best['whole']['mean'], '7.1f'):>18}"
+        lines.append(head + "".join(f"{cell:>19}" for cell in cells))
+    lines += ["", f"{'% behind, whole run':29}{'mean':>9}{'most':>9}"]
+    for rule in dict.fromkeys(row["rule"] for row in known):
+        behind = [row["percent_whole"] for row in known if row["rule"] == rule]
+        lines.append(f"{rule:29}{np.mean(behind):9.1f}{max(behind):9.1f}")
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _percents(row: Row) -> str:
+    return f"{row['percent_whole']:+8.1f} /{row['percent_last_tenth']:+7.1f}"
 
 
 def picture(rows: list[Row]) -> Figure:
