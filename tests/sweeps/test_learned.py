@@ -90,7 +90,7 @@ def test_a_policy_is_worth_what_its_learner_says(name: str):
     tables, params = some_tables(env, learner), env.default_params._replace(max_steps=25)
     policy = Learned(env, learner, tables).policy()
     tables = jax.tree.map(jnp.asarray, tables)
-    said = greedy_return(learner, env, learner.prepare(env), tables, params, jnp.uint32(0))
+    said = greedy_return(learner, env, learner.prepare(env), tables, params, jnp.uint32(0), 0)
     assert expected_return(env, policy, params) == pytest.approx(float(said), abs=1e-3)
 
 

@@ -115,7 +115,7 @@ def test_a_run_gives_the_numbers_of_plain_python(update: Any, primitives: bool):
     @jax.jit
     def both(key: jax.Array) -> tuple[hrljax.Run, jax.Array]:
         run = hrljax.train(GRID, learner, key, EPISODES, params=PARAMS)
-        value = greedy_return(learner, GRID, learner.prepare(GRID), run.learned, PARAMS, jnp.uint32(0))
+        value = greedy_return(learner, GRID, learner.prepare(GRID), run.learned, PARAMS, jnp.uint32(0), 0)
         return run, value
 
     run, value = both(KEY)
