@@ -123,7 +123,10 @@ class StackLayout:
         return [None if task < 0 else self.is_active(jnp.int32(task), state) for task in children.tasks]
 
     def slot_of_action(self, tasks: Sequence[int], task: Array, action: Array) -> Array:
-        """The slot that holds a primitive action in a subtask (int32), which is one of some; any where none does."""
+        """The slot that holds a primitive action in a subtask (int32), which is one of some.
+
+        Of an action that it does not have, the slot of one that it has: never that of a subtask.
+        """
         if all(self.children(t).is_plain for t in tasks):
             return action
         return take(jnp.asarray(self._slot_table), task * self.num_actions + action)
@@ -137,22 +140,20 @@ class StackLayout:
 
     def active_tasks(self, without_root: bool) -> np.ndarray:
         """``[S, M]`` int32: the active subtasks with a primitive child, in order; -1 where there are less than M."""
-        tasks = [t for t in self.all_tasks if max(self.children(t).actions) >= 0 and not (without_root and t == 0)]
-        active = self.active[tasks].T
-        table = np.full((self.num_states, max(int(active.sum(1).max()), 1)), -1, np.int32)
-        for row, is_active in zip(table, active, strict=True):
-            actual = np.array(tasks, np.int32)[is_active]
-            row[: len(actual)] = actual
-        return table
+        learn = [max(self.children(t).actions) >= 0 and not (without_root and t == 0) for t in self.all_tasks]
+        active = self.active.T & np.array(learn)
+        tasks = np.argsort(~active, axis=1, kind="stable")[:, : active.sum(1).max()]
+        return np.where(np.take_along_axis(active, tasks, 1), tasks, -1).astype(np.int32)
 
     @cached_property
     def _slot_table(self) -> np.ndarray:
-        """``[tasks * A]`` int32: slot of an action, 0 where a subtask does not have it."""
+        """``[tasks * A]`` int32: see `slot_of_action`; 0 of a subtask that has no action."""
         table = np.zeros((self.num_tasks, self.num_actions), np.int32)
         for task in range(self.num_tasks):
-            for slot, action in enumerate(self.children(task).actions):
-                if action >= 0:
-                    table[task, action] = slot
+            slots = [(slot, action) for slot, action in enumerate(self.children(task).actions) if action >= 0]
+            table[task] = slots[0][0] if slots else 0
+            for slot, action in slots:
+                table[task, action] = slot
         return table.ravel()
 
     def by_child_set(self, tasks: Sequence[int], task: Array, function: Callable[[ChildSet], T]) -> T:

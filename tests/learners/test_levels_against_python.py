@@ -101,6 +101,22 @@ def completed(domain: str) -> Domain:
     return where._replace(hierarchy=hierarchy, tasks=where.tasks._replace(children=children))
 
 
+def of_graph(graph: Graph, depths: set[int]) -> Domain:
+    params = GRID.default_params._replace(slip_probability=0.4, max_steps=12)
+    return Domain(GRID, params, grid_hierarchy(graph), graph, depths)
+
+
+EVERYWHERE, EVEN = np.ones(24, np.bool_), np.arange(24) % 2 == 0
+DOMAINS["flat"] = of_graph(Graph({"Root": [0, 1, 2, 3]}, {"Root": EVERYWHERE}, {"Root": ~EVERYWHERE}), {1})
+DOMAINS["child first"] = of_graph(
+    Graph(
+        {"Root": ["Outer", 0, 1, 2, 3], "Outer": ["Inner", 1], "Inner": [0, 1, 2, 3]},
+        {"Root": EVERYWHERE, "Outer": EVEN, "Inner": EVEN},
+        {"Root": ~EVERYWHERE, "Outer": ~EVEN, "Inner": ~EVEN},
+    ),
+    {1, 2, 3},
+)
+"""Outer has one action itself, the others through Inner, which is in its first slot and often ends after one step."""
 DOMAINS |= {f"completed {name}": completed(name) for name in DOMAINS}
 NUMBERS = {"step_size": 0.5, "epsilon": 0.5, "discount": 0.93, "initial_value": -10.0}
 
@@ -126,6 +142,8 @@ CASES = {
     "shared, completed taxi": shared("completed taxi"),
     "shared that fades, completed grid": shared("completed grid", pseudo_reward=FADING, taught="active"),
     "shared, completed grid": shared("completed grid", pseudo_reward=4.0),
+    "shared, flat": shared("flat", taught="active"),
+    "shared, child first": shared("child first", pseudo_reward=4.0, taught="active"),
     "shared on policy, completed grid": shared("completed grid", bootstrap="on_policy", taught="active"),
     "shared, completed grid under a random root": shared(
         "completed grid under a random root",
