@@ -131,25 +131,6 @@ def test_three_kinds_of_optimality_and_what_was_reached(tmp_path: Path):
     assert "recursively optimal" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--domains", "Moon"], "--domains must be among Maze, Taxi, Bus, got 'Moon'"),
-        (["--scale", "0"], r"--scale must be a finite number in \(0, 1000\), got 0.0"),
-    ],
-    ids=str,
-)
-def test_bad_options_of_optimality_are_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
-):
-    script = FIGURE_4_2.with_name("optimality.py")
-    monkeypatch.setattr(sys, "argv", [str(script), "--out", str(tmp_path / "out"), *options])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(script), run_name="__main__")
-    assert re.fullmatch(f"error: {message}", str(ended.value.code))
-    assert not (tmp_path / "out").exists()
-
-
 def test_how_good_advice_has_to_be(tmp_path: Path):
     script, out = FIGURE_4_2.with_name("advice_quality.py"), tmp_path / "runs"
     options = ["--seeds", "2", "--scale", "0.005", "--cores", "1", "--out", str(out)]
@@ -172,17 +153,19 @@ def test_how_good_advice_has_to_be(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("name", "options", "message"),
     [
-        (["--seeds", "0"], "--seeds must be an integer from 1 to 2147483647, got 0"),
-        (["--scale", "nan"], r"--scale must be a finite number in \(0, 1000\), got nan"),
+        ("optimality", ["--domains", "Moon"], "--domains must be among Maze, Taxi, Bus, got 'Moon'"),
+        ("optimality", ["--scale", "0"], r"--scale must be a finite number in \(0, 1000\), got 0.0"),
+        ("advice_quality", ["--seeds", "0"], "--seeds must be an integer from 1 to 2147483647, got 0"),
+        ("advice_quality", ["--scale", "nan"], r"--scale must be a finite number in \(0, 1000\), got nan"),
     ],
     ids=str,
 )
-def test_bad_options_of_advice_quality_are_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+def test_a_bad_option_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, options: list[str], message: str
 ):
-    script = FIGURE_4_2.with_name("advice_quality.py")
+    script = FIGURE_4_2.with_name(f"{name}.py")
     monkeypatch.setattr(sys, "argv", [str(script), "--out", str(tmp_path / "out"), *options])
     with pytest.raises(SystemExit) as ended:
         runpy.run_path(str(script), run_name="__main__")

@@ -35,16 +35,6 @@ from hrljax.sweeps.sweep import sweep
 FIXED = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 DEFAULT = "shared, fading"
 """The rule that a newcomer should use."""
-RULES = (
-    "Q-learning",
-    "SARSA(0)",
-    "MAXQ-Q(60)",
-    *(f"{values}, {number:g}" for values in ("shared", "apart") for number in FIXED),
-    *(f"{values}, {rule}" for values in ("shared", "apart") for rule in ("5 to 0", "fading")),
-    "shared, fading, all active",
-)
-"""Names: values that subtasks share or that each has for itself, and the pseudo-reward."""
-
 _BINS = 100
 
 

@@ -3,10 +3,12 @@
 from hrljax.core.choices import epsilon_greedy, greedy, nth_allowed, pick
 from hrljax.core.random import below
 from hrljax.learners.base import Context, Learner, LearnerState, Reported, Transition
+from hrljax.learners.child_values import Known
 from hrljax.learners.execution import StackLearner
 from hrljax.learners.flat import ActionValueLearner, StepSizeLearner, row_of
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, report_option
 from hrljax.learners.roots.base import Decision, Root, SubtaskRoot
+from hrljax.learners.stack import Step
 from hrljax.learners.updates import Move, moved, td_target
 
 __all__ = [
@@ -14,12 +16,14 @@ __all__ = [
     "Context",
     "Decision",
     "Hyperparameter",
+    "Known",
     "Learner",
     "LearnerState",
     "Move",
     "Reported",
     "Root",
     "StackLearner",
+    "Step",
     "StepSizeLearner",
     "SubtaskRoot",
     "Transition",

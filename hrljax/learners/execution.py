@@ -25,7 +25,7 @@ from hrljax.learners.child_values import Known, Q
 from hrljax.learners.fading import Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.roots.base import AnySubtaskRoot, Decision, Question, SubtaskRoot
-from hrljax.learners.stack import LevelEnd, StackOfSubtasks, StackState, empty_stack
+from hrljax.learners.stack import LevelEnd, StackOfSubtasks, StackState, Step, empty_stack
 from hrljax.learners.updates import Move, moved
 
 
@@ -89,25 +89,8 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
     # What a subclass says.
 
     @abstractmethod
-    def moves(
-        self,
-        known: Known,
-        stack: StackState,
-        transition: Transition,
-        ends: list[LevelEnd],
-        q_next: Q,
-        next_action: Array | None,
-    ) -> list[Move]:
-        """The rows of ``StackTables.q`` that a step moves, and where to.
-
-        Args:
-            known: before the step.
-            stack: before the step, its pending discounts with the step in them.
-            transition: the step.
-            ends: what it ended on each level.
-            q_next: values that bootstraps use, of the child that is chosen in the next state; 0 after the last step.
-            next_action: the action (int32) that is taken next, if the learner is on-policy.
-        """
+    def moves(self, known: Known, step: Step[Q]) -> list[Move]:
+        """The rows of ``StackTables.q`` that a step moves, and where to. `known` is that before the step."""
 
     def nothing_seen(self, layout: StackLayout) -> Seen | None:
         """`StackTables.seen` before the first step."""
@@ -182,7 +165,7 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         else:
             q_next = self._greedy_next(known, before, ends, task, after)
         q_next = jax.tree.map(lambda number: lax.select(transition.terminated, jnp.float32(0), number), q_next)
-        moves = self.moves(known, stack, transition, ends, q_next, following and following.action)
+        moves = self.moves(known, Step(stack, transition, ends, q_next, following and following.action))
         q = moved(tables.q, moves, at_episode(self.step_size, context.episode), context)
         following = following or descend(known._replace(q=q))[0]
         seen = self.after_seeing(tables.seen, transition, context)

@@ -6,11 +6,10 @@ from typing import NamedTuple
 from jax import Array
 
 from hrljax.core.flags import choose
-from hrljax.learners.base import Transition
 from hrljax.learners.child_values import Known
 from hrljax.learners.execution import StackLearner
 from hrljax.learners.hyperparameters import at_episode
-from hrljax.learners.stack import LevelEnd, StackState, readable
+from hrljax.learners.stack import Step, readable
 from hrljax.learners.updates import Move, td_target
 
 
@@ -59,24 +58,16 @@ class HAMQ(StackLearner[ChoiceValue]):
     def of_subtask(self, stored: ChoiceValue, best: ChoiceValue) -> ChoiceValue:
         return best
 
-    def moves(
-        self,
-        known: Known,
-        stack: StackState,
-        transition: Transition,
-        ends: list[LevelEnd],
-        q_next: ChoiceValue,
-        next_action: Array | None,
-    ) -> list[Move]:
+    def moves(self, known: Known, step: Step[ChoiceValue]) -> list[Move]:
         """The choice of the primitive action; what follows it is the choice that comes next."""
-        layout, context = known.layout, known.context
+        layout, context, stack, transition = known.layout, known.context, step.stack, step.transition
         task, slot = stack.tasks[0], layout.slot_of_action(layout.levels[0], stack.tasks[0], stack.action)
         for level in layout.all_levels[1:]:
             # The subtask that took the action is the last one on the stack.
-            lower = readable(stack.tasks[level], ends[level].used)
+            lower = readable(stack.tasks[level], step.ends[level].used)
             lower_slot = layout.slot_of_action(layout.levels[level], lower, stack.action)
-            task, slot = choose(ends[level].used, (lower, lower_slot), (task, slot))
+            task, slot = choose(step.ends[level].used, (lower, lower_slot), (task, slot))
         gamma = context.discounted(at_episode(self.discount, context.episode))
-        target = td_target(transition.reward, gamma, q_next.q)
+        target = td_target(transition.reward, gamma, step.q_next.q)
         start = layout.start_of_child(task, transition.state, slot, self._size)
         return [Move(start, target[None], True)]

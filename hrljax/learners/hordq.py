@@ -6,20 +6,18 @@ subtask's own values. MAXQ-Q is HORDQ without the value after the exit.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import chex
 import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core.flags import both
-from hrljax.learners.base import Discounted, Transition
+from hrljax.learners.base import Discounted
 from hrljax.learners.child_values import Known
 from hrljax.learners.pseudo_reward import PseudoRewarded
-from hrljax.learners.stack import LevelEnd, StackState
+from hrljax.learners.stack import LevelEnd, Step
 from hrljax.learners.updates import Move
-
-Bootstrap = Literal["greedy", "on_policy"]
 
 
 class Q(NamedTuple):
@@ -69,16 +67,6 @@ def hordq_target(reward: Array, gamma: Discounted, exited: Array, pseudo_reward:
 class _Decomposed(PseudoRewarded[Q]):
     """What HORDQ and MAXQ-Q share: all but what a subtask wants."""
 
-    bootstrap: Bootstrap = field(default="greedy", kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_choice("bootstrap", Bootstrap)
-
-    @property
-    def is_on_policy(self) -> bool:
-        return self.bootstrap == "on_policy"
-
     def value_until_end(self, q: Q) -> Array:
         return q.r + q.c
 
@@ -92,25 +80,17 @@ class _Decomposed(PseudoRewarded[Q]):
         """What the values of a child that has ended are moved to; as `hordq_target`."""
         return hordq_target(reward, gamma, exited, pseudo_reward, q_next)
 
-    def moves(
-        self,
-        known: Known,
-        stack: StackState,
-        transition: Transition,
-        ends: list[LevelEnd],
-        q_next: Q,
-        next_action: Array | None,
-    ) -> list[Move]:
+    def moves(self, known: Known, step: Step[Q]) -> list[Move]:
         """One move a level. A level that is not used rewrites a row of subtask 0 as it was before the step."""
 
         def move(level: int, end: LevelEnd) -> Move:
-            child = self.running_child(known, level, stack, transition, end)
-            pseudo_reward = self.paid(known, known.layout.goal_factor(child.parent, transition.next_state))
-            target = self.target(child.reward, child.gamma, jnp.asarray(end.exited), pseudo_reward, q_next)
+            child = self.running_child(known, level, step)
+            pseudo_reward = self.paid(known, known.layout.goal_factor(child.parent, step.transition.next_state))
+            target = self.target(child.reward, child.gamma, jnp.asarray(end.exited), pseudo_reward, step.q_next)
             start = known.layout.start_of_child(child.parent, child.state, child.slot, self._size)
             return Move(start, jnp.stack(target), both(end.used, end.child))
 
-        return [move(level, end) for level, end in enumerate(ends)]
+        return [move(level, end) for level, end in enumerate(step.ends)]
 
 
 @dataclass(frozen=True)

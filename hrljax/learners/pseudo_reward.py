@@ -2,7 +2,8 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 from jax import Array
 
@@ -14,6 +15,8 @@ from hrljax.learners.execution import StackLearner
 from hrljax.learners.fading import Fading, Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 
+Bootstrap = Literal["greedy", "on_policy"]
+
 
 @dataclass(frozen=True)
 class PseudoRewarded(StackLearner[Q]):
@@ -21,9 +24,19 @@ class PseudoRewarded(StackLearner[Q]):
 
     Attributes:
         pseudo_reward: kappa, a number, a schedule of the episode or `Fading`.
+        bootstrap: on the ``"greedy"`` child, or ``"on_policy"`` on what is invoked next.
     """
 
     pseudo_reward: "Hyperparameter | Fading" = hyperparameter(0.0, schedule=True, settings=Fading)
+    bootstrap: Bootstrap = field(default="greedy", kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_choice("bootstrap", Bootstrap)
+
+    @property
+    def is_on_policy(self) -> bool:
+        return self.bootstrap == "on_policy"
 
     @abstractmethod
     def value_of_goal(self, q: Q) -> Array:

@@ -17,10 +17,9 @@ from hrljax.learners.base import Discounted, Transition
 from hrljax.learners.child_values import Known
 from hrljax.learners.execution import Prepared
 from hrljax.learners.fading import Fading
-from hrljax.learners.hordq import Bootstrap
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.pseudo_reward import PseudoRewarded
-from hrljax.learners.stack import LevelEnd, StackState
+from hrljax.learners.stack import Step
 from hrljax.learners.updates import Move, td_target
 
 Taught = Literal["running", "active"]
@@ -83,14 +82,12 @@ class SharedHORDQ(PseudoRewarded[SharedQ]):
     """
 
     pseudo_reward: "Hyperparameter | Fading" = hyperparameter(Fading(), schedule=True, settings=Fading)
-    bootstrap: Bootstrap = field(default="greedy", kw_only=True)
     taught: Taught = field(default="running", kw_only=True)
 
     name = "shared HORDQ"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_choice("bootstrap", Bootstrap)
         self._check_choice("taught", Taught)
         if not self.hierarchy.is_total_leaf_cover():
             lacks = ", ".join(
@@ -169,51 +166,34 @@ class SharedHORDQ(PseudoRewarded[SharedQ]):
 
     # What a step teaches.
 
-    @property
-    def is_on_policy(self) -> bool:
-        return self.bootstrap == "on_policy"
-
-    def moves(
-        self,
-        known: Known,
-        stack: StackState,
-        transition: Transition,
-        ends: list[LevelEnd],
-        q_next: SharedQ,
-        next_action: Array | None,
-    ) -> list[Move]:
+    def moves(self, known: Known, step: Step[SharedQ]) -> list[Move]:
         """Q(s, a); then P and U of the subtasks that are taught. A learning root has no end before the episode's."""
-        first_level = 1 if self.root is None else 0
-        running = [
-            self._running(known, level, stack, transition, ends[level], q_next)
-            for level in known.layout.all_levels[first_level:]
-        ]
+        levels = known.layout.all_levels[1 if self.root is None else 0 :]
+        if self.taught == "running":
+            return [self._shared(known, step), *(self._running(known, level, step) for level in levels)]
         # What is taught comes before what rewrites a row as it was.
-        active = self._active(known, transition) if self.taught == "active" else []
-        return [self._shared(known, transition, next_action), *active, *running]
+        subtasks = [self._running(known, level, step) for level in levels if level + 1 < known.layout.num_levels]
+        return [self._shared(known, step), *self._active(known, step.transition), *subtasks]
 
-    def _shared(self, known: Known, transition: Transition, next_action: Array | None) -> Move:
-        num_actions = known.layout.num_actions
-        if next_action is None:
+    def _shared(self, known: Known, step: Step[SharedQ]) -> Move:
+        num_actions, transition = known.layout.num_actions, step.transition
+        if step.next_action is None:
             best = choices.greedy(self._shared_row(known, transition.next_state))[1]
         else:
-            best = take(known.q, transition.next_state * num_actions + next_action)
+            best = take(known.q, transition.next_state * num_actions + step.next_action)
         best = lax.select(transition.terminated, jnp.float32(0), best)
         gamma = known.context.discounted(at_episode(self.discount, known.context.episode))
         target = td_target(transition.reward, gamma, best)
         return Move(transition.state * num_actions + transition.action, target[None], True)
 
-    def _running(
-        self, known: Known, level: int, stack: StackState, transition: Transition, end: LevelEnd, q_next: SharedQ
-    ) -> Move:
-        child = self.running_child(known, level, stack, transition, end)
-        goal = known.layout.goal_factor(child.parent, transition.next_state)
-        target = until_end(child.reward, child.gamma, jnp.asarray(end.exited), goal, q_next.p, q_next.u)
+    def _running(self, known: Known, level: int, step: Step[SharedQ]) -> Move:
+        child, end, after = self.running_child(known, level, step), step.ends[level], step.q_next
+        goal = known.layout.goal_factor(child.parent, step.transition.next_state)
+        target = until_end(child.reward, child.gamma, jnp.asarray(end.exited), goal, after.p, after.u)
         start = self._start(known.layout, child.parent, child.state, child.slot)
         learns = both(end.used, end.child)
         if self.taught == "active":  # An action is taught with those of all other active subtasks.
-            is_last = level == known.layout.num_levels - 1
-            learns = both(learns, False if is_last else stack.tasks[level + 1] >= 0)
+            learns = both(learns, step.stack.tasks[level + 1] >= 0)
         return Move(start, target[: self._size], learns)
 
     def _active(self, known: Known, transition: Transition) -> list[Move]:

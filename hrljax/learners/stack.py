@@ -63,6 +63,16 @@ class LevelEnd:
     exited: Flag  # it ended itself
 
 
+class Step(NamedTuple, Generic[Q]):
+    """A primitive step, and what learning from it needs."""
+
+    stack: StackState  # before the step, its pending discounts with the step in them
+    transition: Transition
+    ends: list[LevelEnd]  # what the step ended on each level
+    q_next: Q  # values that bootstraps use, of the child that is chosen in the next state; 0 after the last step
+    next_action: Array | None  # int32: the action that is taken next; None of a learner that is off-policy
+
+
 def readable(task: Array, used: Flag) -> Array:
     """The number of the subtask on a level; 0 where none runs, to read something."""
     return task if used is True else lax.max(task, jnp.int32(0))
@@ -104,18 +114,16 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             children.append(either(either(exits[below], acts_itself), transition.terminated))
         return [LevelEnd(*flags) for flags in zip(used, children, exits, strict=True)]
 
-    def running_child(
-        self, known: Known, level: int, stack: StackState, transition: Transition, end: LevelEnd
-    ) -> RunningChild:
-        """What runs on a level. `stack` is that before the step, its discounts with the step in them."""
-        layout, context = known.layout, known.context
-        parent = readable(stack.tasks[level], end.used)
+    def running_child(self, known: Known, level: int, step: Step[Q]) -> RunningChild:
+        """What ran on a level in a step."""
+        layout, context, stack = known.layout, known.context, step.stack
+        parent, reward = readable(stack.tasks[level], step.ends[level].used), step.transition.reward
         if level == layout.num_levels - 1:
-            state, slot = transition.state, layout.slot_of_action(layout.levels[level], parent, stack.action)
-            discount, reward = at_episode(self.discount, context.episode), transition.reward
+            state, slot = step.transition.state, layout.slot_of_action(layout.levels[level], parent, stack.action)
+            discount = at_episode(self.discount, context.episode)
         else:
             state, slot, discount = stack.pending[level]
-            reward = lax.select(stack.tasks[level + 1] < 0, transition.reward, jnp.float32(0))
+            reward = lax.select(stack.tasks[level + 1] < 0, reward, jnp.float32(0))
         return RunningChild(parent, state, slot, reward, context.discounted(discount))
 
     def _greedy_next(self, known: Known, stack: StackState, ends: list[LevelEnd], task: Array, state: Array) -> Q:
