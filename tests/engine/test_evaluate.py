@@ -142,3 +142,27 @@ def test_a_key_may_be_a_constant_of_the_compiled_function():
     """Where the compiler knows the key, it still may not fuse what a run rounds separately."""
     key = jax.random.key(4)
     chex.assert_trees_all_equal(jax.jit(evaluated)(key), jax.jit(lambda: evaluated(key))())
+
+
+def test_a_greedy_policy_goes_by_the_schedule_of_the_episode_that_it_is_asked_in():
+    """Subtasks obey for 30 of 40 episodes: what is said of the last ones is said of a learner that is free."""
+
+    def with_pseudo_reward(value: Any) -> hrljax.SharedHORDQ:
+        return hrljax.SharedHORDQ(SMALL.hierarchy(), hrljax.RandomRoot(), pseudo_reward=value, initial_value=-12.0)
+
+    scheduled = with_pseudo_reward(lambda episode: jnp.where(episode < 30, jnp.float32(1000), jnp.float32(0)))
+    run = jax.jit(lambda key: hrljax.train(SMALL, scheduled, key, 40, params=SHORT, bin_size=20, evaluate_every=1))(
+        jax.random.key(2)
+    )
+    free, obedient = (
+        float(greedy_return(learner, SMALL, learner.prepare(SMALL), run.learned, SHORT, ZERO, 0))
+        for learner in map(with_pseudo_reward, (0.0, 1000.0))
+    )
+    assert float(run.greedy_return[-1]) == pytest.approx(free, abs=1e-3)
+    assert abs(free - obedient) > 1
+    told, expected, other = (
+        hrljax.Learned(SMALL, learner, run.learned, episodes=40).policy().slots
+        for learner in (scheduled, with_pseudo_reward(0.0), with_pseudo_reward(1000.0))
+    )
+    np.testing.assert_array_equal(told, expected)
+    assert (told != other).any()
