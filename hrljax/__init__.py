@@ -1,12 +1,15 @@
 """Hierarchical reinforcement learning in JAX: learning rates measured over thousands of seeds."""
 
 from importlib import import_module as _import_module
+from importlib.metadata import version as _version
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 from hrljax.engine import compiler as _xla
 
 _xla.request_native_loops()
+
+__version__ = _version("hrljax")
 
 from hrljax import solvers  # noqa: E402
 from hrljax.engine.run import Run  # noqa: E402

@@ -1,15 +1,18 @@
 """Every example of the documentation runs, block after block, with fewer seeds and episodes than it says."""
 
 import importlib
+import pkgutil
 import re
 import shutil
 from collections.abc import Callable
+from fnmatch import fnmatch
 from functools import wraps
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import gymnasium
+import public_names
 import pytest
 from matplotlib.image import imread
 
@@ -17,10 +20,13 @@ import hrljax
 from hrljax.envs import registry
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    page for page in sorted((ROOT / "docs").rglob("*.md")) if page.relative_to(ROOT).parts[1] not in ("_build", "api")
+]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
 FENCE = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.M)
 SEEDS, EPISODES = 4, 40
-each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 
 
 def blocks(document: Path, language: str) -> list[str]:
@@ -73,6 +79,25 @@ def test_files_that_are_named_exist(document: Path):
         assert (document.parent / link).exists(), link
     for program in re.findall(r"\b(?:scripts|benchmarks)/\w+\.py", text):
         assert (ROOT / program).exists(), program
+
+
+def test_every_public_module_is_in_the_api():
+    """Sphinx then makes a page for each of its names, and ends with an error if one is missing (docs/conf.py)."""
+    inner = {"hrljax.envs.bus.map"}
+    modules = {module.name for module in pkgutil.walk_packages(hrljax.__path__, "hrljax.")} | {"hrljax"}
+    offer = {name for name in modules if hasattr(importlib.import_module(name), "__all__")} - inner
+    assert offer == set(public_names.MODULES)
+    listed = re.findall(r"^   (hrljax[\w.]*)$", (ROOT / "docs" / "api.rst").read_text(), re.M)
+    assert sorted(listed) == sorted(offer)
+    assert {"hrljax.QLearning", "hrljax.sweep", "hrljax.stats.mean", "hrljax.envs.below"} <= public_names.all_names()
+
+
+def test_every_page_is_in_a_table_of_contents():
+    """Each folder of pages is listed in docs/index.md, by name or as a whole."""
+    listed = re.findall(r"^([\w/*]+)$", (ROOT / "docs" / "index.md").read_text(), re.M)
+    for page in PAGES:
+        place = page.relative_to(ROOT / "docs").with_suffix("").as_posix()
+        assert place == "index" or any(fnmatch(place, pattern) for pattern in listed), place
 
 
 def test_an_own_environment_takes_no_more_than_40_lines():

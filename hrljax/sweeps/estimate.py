@@ -77,8 +77,8 @@ def estimate(
     where episodes are still getting shorter.
 
     Args:
-        env, learner, seeds, num_episodes, axes, key, params, bin_size, evaluate_every, keep_learned,
-            mapping, cores, chunk_size: as of `hrljax.sweep`.
+        env: as of `hrljax.sweep`, and so are `learner`, `seeds`, `num_episodes`, `axes`, `key`, `params`, `bin_size`,
+            `evaluate_every`, `keep_learned`, `mapping`, `cores` and `chunk_size`.
         workers: processes of the executor that the sweep will use, each with one core; none if None.
         store: whether the sweep will have a store.
 
