@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 
 from hrljax.core import checks
 from hrljax.core.numerics import take
@@ -69,7 +70,8 @@ def best_first_search(
     num_actions: int,
     *,
     depth: int = 6,
-    max_nodes: int = 300,
+    max_nodes: Any = 300,
+    room: int | None = None,
     count: Count = "generated",
     priority: Priority = "cumulative",
     answer: Answer = "any",
@@ -85,20 +87,24 @@ def best_first_search(
     are such, the best sequence is action 0.
 
     Args:
-        model: ``model(state, action) -> next_state, reward`` for one state and one action (int32
-            scalar): a state of the same structure, shapes and types, and a float32 scalar. Pure;
-            it may close over traced arrays.
+        model: ``model(state, action) -> next_state, reward`` or ``next_state, reward, ended`` for one
+            state and one action (int32 scalar): a state of the same structure, shapes and types, a float32
+            scalar, and whether this step is the last one (bool scalar): such a node is never expanded.
+            Pure; it may close over traced arrays.
         state: where to start, a pytree of arrays.
         num_actions: A.
         depth: greatest depth of a node.
-        max_nodes: no expansion starts once so many nodes have been counted.
+        max_nodes: no expansion starts once so many nodes have been counted. May be a traced number (int32 or
+            float32), if there is `room`.
+        room: the greatest `max_nodes` that storage is made for; `max_nodes` itself if not given.
         count: counts the nodes that were ``"generated"`` (without the root; an expansion that has
             started is completed, so 300 means 34 expansions of 9 children) or ``"expanded"``.
         priority: the frontier's order: ``"cumulative"`` value, or ``"last_reward"``, the reward of
             the step that leads to a node.
         answer: the best node may be ``"any"``, or only a ``"leaf"``, a node that was not expanded: then
-            a promising node whose children are all bad is no answer.
-        stop_reward: the search ends after an expansion with a child of greater value.
+            a promising node whose children are all bad is no answer. With ``"sequence"`` only whole plans
+            count, those of `depth` steps and those that have ended; without any, any node.
+        stop_reward: the search ends after an expansion with a child of greater value that counts (see `answer`).
         discount: in [0, 1]; the reward of a step from depth d counts ``discount ** d`` times.
         loop: ``"while"`` leaves early, best in native loops; ``"scan"`` runs the greatest number of
             expansions, best under `vmap`. The result is the same bit for bit.
@@ -106,14 +112,16 @@ def best_first_search(
     Raises:
         TypeError, ValueError: an argument is not as described.
     """
-    _check_options(num_actions, depth, max_nodes, count, priority, answer, loop)
+    _check_options(num_actions, depth, count, priority, answer, loop)
+    most, max_nodes = check_room(max_nodes, room)
     discount = checks.number("discount", discount, checks.SHARE, may_be_traced=True)
     stop_reward = checks.number("stop_reward", stop_reward, checks.Interval(-np.inf, np.inf), may_be_traced=True)
     problem = Problem(
         model,
         num_actions,
         depth,
-        max_expansions=max_nodes if count == "expanded" else -(-max_nodes // num_actions),
+        max_expansions=_expansions(most, num_actions, count),
+        limit=_expansions(max_nodes, num_actions, count),
         priority=priority,
         answer=answer,
         stop_rank=rank_of(_single(stop_reward)),
@@ -136,17 +144,21 @@ def best_first_search(
 
 def _result(problem: Problem, search: Search) -> SearchResult:
     tree = _tree(problem, search)
-    best = search.best if problem.answer == "any" else _best_leaf(tree, search.best)
+    best = search.best
+    if problem.answer == "leaf":
+        best = _best_of(tree, tree.expansion < 0, otherwise=best)
+    elif problem.answer == "sequence":
+        best = lax.select(search.best_rank > CLOSED, best, _best_of(tree, True, otherwise=best))
     actions = _actions_to(problem, search, best)
     length = jnp.sum((actions >= 0).astype(jnp.int32))
     return SearchResult(actions, length, actions[0], take(search.value, best), best, tree)
 
 
-def _best_leaf(tree: Tree, otherwise: Array) -> Array:
-    """The first of the nodes of greatest value that were not expanded."""
+def _best_of(tree: Tree, which: Array | bool, otherwise: Array) -> Array:
+    """The first of the nodes of greatest value, the root apart."""
     numbers = np.arange(len(tree.value), dtype=np.int32)
-    is_leaf = (tree.expansion < 0) & (numbers > 0) & (numbers < tree.num_nodes)
-    node, rank = first_max(jnp.where(is_leaf, rank_of(tree.value), CLOSED))
+    is_one = which & (numbers > 0) & (numbers < tree.num_nodes)
+    node, rank = first_max(jnp.where(is_one, rank_of(tree.value), CLOSED))
     return lax.select(rank > CLOSED, node, otherwise)
 
 
@@ -193,10 +205,30 @@ def _actions_to(problem: Problem, search: Search, node: Array) -> Array:
     return lax.fori_loop(0, longest, to_parent, (node, jnp.full(problem.max_depth, -1, jnp.int32)))[1]
 
 
-def _check_options(
-    num_actions: int, depth: int, max_nodes: int, count: str, priority: str, answer: str, loop: str
-) -> None:
-    for name, value in (("num_actions", num_actions), ("depth", depth), ("max_nodes", max_nodes)):
+def check_room(max_nodes: Any, room: int | None, of: str = "") -> tuple[int, Any]:
+    """The room for nodes and how many there may be (int32), if it is enough; messages begin with `of`.
+
+    Raises:
+        TypeError, ValueError: it is not enough, or a traced number is given without it.
+    """
+    if room is not None:
+        room = checks.integer(f"{of}room", room, 1)
+    if not isinstance(max_nodes, Tracer):
+        max_nodes = checks.integer(f"{of}max_nodes", max_nodes, 1, room or checks.LARGEST_INTEGER)
+        return room or max_nodes, max_nodes
+    if room is None:
+        raise TypeError(f"{of}room must say how many nodes there are at most, because max_nodes is a traced number")
+    nodes = checks.number(f"{of}max_nodes", max_nodes, may_be_traced=True)
+    return room, lax.clamp(jnp.int32(1), jnp.asarray(nodes).astype(jnp.int32), jnp.int32(room))
+
+
+def _expansions(nodes: Any, num_actions: int, count: Count) -> Any:
+    """How many expansions count so many nodes."""
+    return nodes if count == "expanded" else -(-nodes // num_actions)
+
+
+def _check_options(num_actions: int, depth: int, count: str, priority: str, answer: str, loop: str) -> None:
+    for name, value in (("num_actions", num_actions), ("depth", depth)):
         checks.integer(name, value, 1)
     choices = (
         ("count", count, Count),
@@ -219,9 +251,10 @@ def _check_model(model: ModelFn, state: Any) -> None:
     given = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state)
     with explain_tracing("model"):
         output = jax.eval_shape(model, given, jax.ShapeDtypeStruct((), jnp.int32))
-    if not (isinstance(output, tuple) and len(output) == 2):
-        raise TypeError(f"model must return a tuple (next_state, reward), got {output!r}")
+    if not (isinstance(output, tuple) and len(output) in (2, 3)):
+        raise TypeError(f"model must return a tuple (next_state, reward) or one with ended, got {output!r}")
     returned = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), output)
-    expected = (given, jax.ShapeDtypeStruct((), jnp.float32))
+    numbers = (jax.ShapeDtypeStruct((), jnp.float32), jax.ShapeDtypeStruct((), jnp.bool_))
+    expected = (given, *numbers[: len(output) - 1])
     if returned != expected:
         raise TypeError(f"model must return {expected}, of the structure of its state, and got {returned}")

@@ -14,13 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.core.flags import choose
+from hrljax.core.flags import Flag, choose, opposite
 from hrljax.core.numerics import exact_product, opaque_zero, put_row, take, take_row
 
-ModelFn = Callable[[Any, Array], tuple[Any, Array]]
+ModelFn = Callable[[Any, Array], tuple[Any, ...]]
+"""Of a state and an action: the next state, the reward and, if it says so, whether the way ends there."""
 Count = Literal["generated", "expanded"]
 Priority = Literal["cumulative", "last_reward"]
-Answer = Literal["any", "leaf"]
+Answer = Literal["any", "leaf", "sequence"]
 Loop = Literal["while", "scan"]
 
 CLOSED = np.int32(np.iinfo(np.int32).min)
@@ -39,8 +40,8 @@ class Search(NamedTuple):
     depth: Array  # [E + 1] int32: of the nodes of a block
     weight: Array  # [E + 1] float32: discount ** depth of the nodes of a block
     num_expanded: Array  # int32
-    best: Array  # int32: the best node so far
-    best_rank: Array  # int32: the rank of its value
+    best: Array  # int32: the best node so far of those that count
+    best_rank: Array  # int32: the rank of its value; `CLOSED` while there is none
 
 
 class Expansion(NamedTuple):
@@ -65,7 +66,8 @@ class Problem:
     model: ModelFn
     num_actions: int
     max_depth: int
-    max_expansions: int
+    max_expansions: int  # for so many there is room
+    limit: Array | int  # int32: how many there may be
     priority: Priority
     answer: Answer
     stop_rank: Array
@@ -93,7 +95,7 @@ def start(problem: Problem, state: Any) -> Search:
 
 def goes_on(problem: Problem, search: Search) -> Array:
     """Whether another node is to be expanded."""
-    may_expand = search.num_expanded < problem.max_expansions
+    may_expand = search.num_expanded < problem.limit
     return may_expand & (search.best_rank <= problem.stop_rank) & (jnp.max(search.best_ranks) > CLOSED)
 
 
@@ -117,9 +119,12 @@ def expand(problem: Problem, search: Search) -> Expansion:
     weight = take(search.weight, block)
 
     parent_state = jax.tree.map(lambda rows: _row(rows, node), search.state)
-    states, rewards = _children(problem, parent_state)
+    states, rewards, ended = _children(problem, parent_state)
     values = take(search.value, node) + _discounted(problem, weight, rewards, search.num_expanded)
-    first, value_rank = first_max(rank_of(values))
+    value_ranks = rank_of(values)
+    goes_deeper = (depth < problem.max_depth) & opposite(ended)
+    counts = value_ranks if problem.answer != "sequence" else jnp.where(goes_deeper, CLOSED, value_ranks)
+    first, value_rank = first_max(counts)
     is_better = value_rank > search.best_rank
     order = rank_of(values if problem.priority == "cumulative" else rewards)
     return Expansion(
@@ -131,7 +136,7 @@ def expand(problem: Problem, search: Search) -> Expansion:
         state=states,
         value=values,
         reward=rewards,
-        ranks=jnp.where((depth < problem.max_depth) & (rank_of(values) > CLOSED), order, CLOSED),
+        ranks=jnp.where(goes_deeper & (value_ranks > CLOSED), order, CLOSED),
         best=lax.select(is_better, 1 + search.num_expanded * width + first, search.best),
         best_rank=lax.max(value_rank, search.best_rank),
         num_expanded=search.num_expanded + 1,
@@ -178,9 +183,11 @@ def write(problem: Problem, search: Search, new: Expansion) -> Search:
     )
 
 
-def _children(problem: Problem, state: Any) -> tuple[Any, Array]:
-    """States and rewards of all actions: a small loop, which compiles once whatever the model is."""
-    return lax.map(lambda action: problem.model(state, action), jnp.arange(problem.num_actions, dtype=jnp.int32))
+def _children(problem: Problem, state: Any) -> tuple[Any, Array, Flag]:
+    """What all actions lead to: a small loop, which compiles once whatever the model is."""
+    actions = jnp.arange(problem.num_actions, dtype=jnp.int32)
+    states, rewards, *ended = lax.map(lambda action: problem.model(state, action), actions)
+    return states, rewards, ended[0] if ended else False
 
 
 def _discounted(problem: Problem, weight: Array, rewards: Array, word: Array) -> Array:

@@ -23,6 +23,7 @@ class Table(NamedTuple):
 
     next_state: Any  # [STATES * A] int32
     reward: Any  # [STATES * A] float32
+    ended: Any  # [STATES * A] bool; for models that say so
     start: Any  # int32
     stop_reward: Any  # float32
     discount: Any  # float32
@@ -43,6 +44,7 @@ def random_table(seed: int, num_actions: int) -> Table:
     return Table(
         generator.integers(0, STATES, shape).astype(np.int32),
         rewards,
+        np.random.default_rng([seed, 1]).random(shape) < [0.1, 0.5, 0.9][seed % 3],
         np.int32(generator.integers(STATES)),
         generator.choice(np.array([np.inf, 6, 2, 0.5, -np.inf], F), p=[0.4, 0.2, 0.2, 0.1, 0.1]),
         generator.choice(np.array([1, 0.9, 0.5, 0], F), p=[0.3, 0.4, 0.2, 0.1]),
@@ -53,14 +55,15 @@ def stacked(tables: list[Table]) -> Table:
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *tables)
 
 
-def searched(table: Table, num_actions: int, **options: Any) -> SearchResult:
+def searched(table: Table, num_actions: int, may_end: bool = False, **options: Any) -> SearchResult:
     """Searches a table; the state is a pytree that holds more than the row of the table."""
 
-    def model(state: dict[str, jax.Array], action: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+    def model(state: dict[str, jax.Array], action: jax.Array) -> tuple[Any, ...]:
         entry = state["row"] * np.int32(num_actions) + action
         after = take(table.next_state, entry)
         trace = jnp.stack([after.astype(jnp.float32), state["trace"][0]])
-        return {"row": after, "trace": trace}, take(table.reward, entry)
+        outcome = {"row": after, "trace": trace}, take(table.reward, entry)
+        return (*outcome, take(table.ended, entry)) if may_end else outcome
 
     start = {"row": table.start, "trace": jnp.zeros(2, jnp.float32)}
     return best_first_search(model, start, num_actions, **options)
@@ -89,14 +92,17 @@ def in_python(
     count: str = "generated",
     priority: str = "cumulative",
     answer: str = "any",
+    may_end: bool = False,
 ) -> tuple[list[PythonNode], dict[int, int], int]:
     """The same search with a heap of Python objects: nodes, when each was expanded, the best node."""
+    whole: list[int] = []
     nodes = [PythonNode(int(table.start), (0, 0), F(0), F(0), 0, -1, -1, F(1))]
     heap = [(-0.0, 0)]
     expansion: dict[int, int] = {}
     best = 0
     while heap and (len(expansion) if count == "expanded" else len(nodes) - 1) < max_nodes:
-        if best and nodes[best].value > table.stop_reward:
+        counted = whole if answer == "sequence" else range(1, len(nodes))
+        if any(nodes[i].value > table.stop_reward for i in counted):
             break
         _, index = heapq.heappop(heap)
         expansion[index] = len(expansion)
@@ -109,13 +115,16 @@ def in_python(
             weight = parent.weight * table.discount
             child = PythonNode(after, (after, parent.trace[0]), value, reward, parent.depth + 1, index, action, weight)
             nodes.append(child)
-            if child.depth < depth and value > -np.inf:
+            ends = may_end and bool(table.ended[parent.row * num_actions + action])
+            whole += [len(nodes) - 1] if ends or child.depth == depth else []
+            if child.depth < depth and value > -np.inf and not ends:
                 heapq.heappush(heap, (-float(value if priority == "cumulative" else reward), len(nodes) - 1))
             if best == 0 or value > nodes[best].value or (np.isnan(nodes[best].value) and value > -np.inf):
                 best = len(nodes) - 1
     leaves = [i for i, node in enumerate(nodes) if i and i not in expansion and node.value > -np.inf]
-    if answer == "leaf" and leaves:
-        best = max(leaves, key=lambda i: nodes[i].value)
+    plans = {"any": [], "leaf": leaves, "sequence": [i for i in whole if nodes[i].value > -np.inf]}[answer]
+    if plans:
+        best = max(plans, key=lambda i: nodes[i].value)
     return nodes, expansion, best
 
 
@@ -157,6 +166,14 @@ SETTINGS: dict[str, tuple[int, dict[str, Any]]] = {
     "whole tree": (3, {"depth": 3, "max_nodes": 60}),
     "one action": (1, {"depth": 8, "max_nodes": 5}),
     "one step": (5, {"depth": 1, "max_nodes": 20}),
+    "ends": (4, {"depth": 6, "max_nodes": 100, "may_end": True}),
+    "sequence": (3, {"depth": 4, "max_nodes": 60, "answer": "sequence"}),
+    "sequence, ends": (4, {"depth": 5, "max_nodes": 120, "answer": "sequence", "may_end": True}),
+    "sequence, ends, last reward": (
+        9,
+        {"depth": 3, "max_nodes": 90, "answer": "sequence", "may_end": True, "priority": "last_reward"},
+    ),
+    "leaf, ends, expanded": (3, {"depth": 5, "max_nodes": 20, "answer": "leaf", "may_end": True, "count": "expanded"}),
     "one node": (4, {"depth": 3, "max_nodes": 1}),
 }
 MODELS = 112  # more than 1,000 in all
@@ -171,6 +188,25 @@ def test_every_node_is_that_of_plain_python_under_both_mappings(name: str):
         results = jax.tree.map(np.asarray, batch.compile_mapped(search, mapping)(stacked(tables)))
         for i, table in enumerate(tables):
             assert_equals_python(jax.tree.map(lambda x, i=i: x[i], results), table, num_actions, **options)
+
+
+@pytest.mark.parametrize(("mapping", "loop"), [("native", "while"), ("vmap", "scan")])
+@pytest.mark.parametrize("count", ["generated", "expanded"])
+def test_a_number_of_nodes_that_is_known_late_gives_the_same(mapping: Any, loop: str, count: Any):
+    num_actions, options = 4, {"depth": 5, "count": count, "answer": "sequence"}
+    counts = np.array([1, 2, 7, 8, 9, 13, 30, 31], np.float32)
+    table = random_table(3, num_actions)
+
+    def search(max_nodes: Any) -> SearchResult:
+        return search_with_numbers(table, num_actions, max_nodes=max_nodes, room=31, loop=loop, **options)
+
+    results = jax.tree.map(np.asarray, batch.compile_mapped(search, mapping)(jnp.asarray(counts)))
+    sizes = set()
+    for i, max_nodes in enumerate(counts.astype(int)):
+        result = jax.tree.map(lambda x, i=i: x[i], results)
+        assert_equals_python(result, table, num_actions, max_nodes=max_nodes, **options)
+        sizes.add(int(result.tree.num_nodes))
+    assert len(sizes) >= 5
 
 
 @pytest.mark.parametrize(("mapping", "loop"), [("native", "scan"), ("vmap", "while")])
@@ -265,6 +301,50 @@ def test_the_last_reward_orders_otherwise_than_the_sum():
     assert orders == {"cumulative": [0, 1, 3], "last_reward": [0, 1, 2]}
 
 
+def before_a_pit(state: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Cells with a pit at 3: a walk to the next (0) earns 3, a jump over it (1) 1; the fall costs 50 and is the end."""
+    after = state + 1 + action
+    falls = after == 3
+    reward = jnp.where(falls, jnp.float32(-50), jnp.where(action == 0, jnp.float32(3), jnp.float32(1)))
+    return after, reward, falls
+
+
+def test_a_plan_is_whole_or_ends():
+    """By hand: nodes 1 (cell 1, 3) and 2 (cell 2, 1), of node 1 then 3 (cell 2, 6) and 4 (the pit, -47), of node 3 then
+    5 (the pit, -44) and 6 (cell 4, 7), which has three steps.
+    """
+
+    def plan(max_nodes: int, **options: Any) -> tuple[list[int], float, int]:
+        search = partial(best_first_search, before_a_pit, num_actions=2, depth=3, max_nodes=max_nodes, **options)
+        result = jax.jit(search)(jnp.int32(0))
+        actions = [int(action) for action in result.actions if action >= 0]
+        return actions, float(result.value), int(result.tree.num_nodes)
+
+    whole: dict[str, Any] = {"answer": "sequence"}
+    # After two expansions only node 4 is whole, because it has ended.
+    assert plan(4, stop_reward=99.0) == ([0, 0], 6.0, 5)
+    assert plan(4, stop_reward=99.0, **whole) == ([0, 1], -47.0, 5)
+    assert plan(6, stop_reward=99.0, **whole) == ([0, 0, 1], 7.0, 7)
+    # Node 3 passes a stop at 5 before it is known what comes after it.
+    assert plan(99, stop_reward=5.0) == ([0, 0], 6.0, 5)
+    assert plan(99, stop_reward=5.0, **whole) == ([0, 0, 1], 7.0, 7)
+    # Nothing is whole yet.
+    assert plan(2, stop_reward=99.0, **whole) == ([0], 3.0, 3)
+
+
+def test_a_number_of_nodes_that_is_known_late_needs_room():
+    search = jax.jit(lambda nodes: best_first_search(line, jnp.float32(0), 3, max_nodes=nodes))
+    with pytest.raises(TypeError, match="room must say how many nodes there are at most"):
+        search(5)
+
+
+def test_what_has_ended_is_never_expanded():
+    result = jax.jit(partial(best_first_search, before_a_pit, num_actions=2, depth=5, max_nodes=999))(jnp.int32(0))
+    fallen = np.asarray(result.tree.reward) == -50
+    assert fallen.sum() >= 2
+    assert np.all(np.asarray(result.tree.expansion)[fallen] == -1)
+
+
 def test_without_jit_a_python_number_is_a_state_and_results_have_strong_types():
     result = best_first_search(line, 1.5, 3)
     for leaf in jax.tree.leaves(result):
@@ -302,7 +382,9 @@ def test_a_batch_of_trees_is_refused_on_the_host():
         ("depth", True, TypeError, "depth must be an integer from 1 to .*, got True"),
         ("max_nodes", -3, ValueError, "max_nodes must be an integer from 1 to 2147483647, got -3"),
         ("count", "all", ValueError, "count must be one of 'generated', 'expanded', got 'all'"),
-        ("answer", "last", ValueError, "answer must be one of 'any', 'leaf', got 'last'"),
+        ("answer", "last", ValueError, "answer must be one of 'any', 'leaf', 'sequence', got 'last'"),
+        ("room", 0, ValueError, "room must be an integer from 1 to 2147483647, got 0"),
+        ("room", 20, ValueError, "max_nodes must be an integer from 1 to 20, got 300"),
         ("priority", "best", ValueError, "priority must be one of 'cumulative', 'last_reward', got 'best'"),
         ("loop", "for", ValueError, "loop must be one of 'while', 'scan', got 'for'"),
         ("stop_reward", np.nan, ValueError, "stop_reward must be a number in"),
@@ -330,6 +412,8 @@ def test_bad_options_are_refused(argument: str, value: Any, error: type[Exceptio
         lambda state, action: (state.astype(jnp.int32), jnp.float32(0)),
         lambda state, action: ((state, state), jnp.float32(0)),
         lambda state, action: (jnp.stack([state, state]), jnp.float32(0)),
+        lambda state, action: (state, jnp.float32(0), jnp.int32(0)),
+        lambda state, action: (state, jnp.float32(0), jnp.bool_(False), jnp.bool_(False)),
     ],
 )
 def test_a_model_that_returns_something_else_is_refused(model: Any):

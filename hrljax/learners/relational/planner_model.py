@@ -29,5 +29,9 @@ class PlannerModel(Protocol[Tables]):
         ...
 
     def planned(self, env: Mario, tables: Tables, episode: Episode) -> tuple[ModelFn, Any]:
-        """``model(state, action) -> next_state, reward``, and the state to search from at a moment of an episode."""
+        """The model as a search asks it, and the state to search from at a moment of an episode.
+
+        The model is ``model(state, action) -> next_state, reward`` or, of one that foresees ends,
+        ``next_state, reward, ended``: what has ended is not looked beyond (`best_first_search`).
+        """
         ...

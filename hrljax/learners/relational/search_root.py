@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple
 import chex
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.core import Tracer
 
 from hrljax.core import checks
 from hrljax.core.flags import Flag, both
@@ -16,7 +17,7 @@ from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
 from hrljax.learners.relational.learned_model import MarioModel
 from hrljax.learners.relational.planner_model import PlannerModel
 from hrljax.learners.roots.base import Decision, Root
-from hrljax.search.best_first import Answer, Count, Loop, Priority, SearchResult, best_first_search
+from hrljax.search.best_first import Answer, Count, Loop, Priority, SearchResult, best_first_search, check_room
 
 Follow = Literal["every_step", "sequence"]
 
@@ -36,7 +37,8 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
     Attributes:
         stop_reward: the search ends when a sequence promises more.
         model: a model that is learned, and how, or one that is given.
-        depth, max_nodes, count, priority, answer: see `hrljax.search.best_first.best_first_search`.
+        depth, max_nodes, room, count, priority, answer: see `hrljax.search.best_first.best_first_search`. Where
+            `max_nodes` is swept, `room` has to be given.
         follow: searches at ``"every_step"``, or follows a ``"sequence"`` to its end.
         refit_interval: episodes between two fits of the model.
     """
@@ -44,7 +46,8 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
     stop_reward: Hyperparameter = hyperparameter(6.0)
     model: PlannerModel[Any] = MarioModel()
     depth: int = 6
-    max_nodes: int = 300
+    max_nodes: Hyperparameter = hyperparameter(300, 1)
+    room: int | None = None
     count: Count = "generated"
     priority: Priority = "cumulative"
     answer: Answer = "any"
@@ -55,10 +58,14 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("depth", "max_nodes", "refit_interval"):
+        for name in ("depth", "refit_interval"):
             self._check_integer(name, 1)
         for name, allowed in (("count", Count), ("priority", Priority), ("answer", Answer), ("follow", Follow)):
             self._check_choice(name, allowed)
+        nodes: Any = self.max_nodes
+        if not isinstance(nodes, Tracer) and nodes == int(nodes):
+            self._set("max_nodes", int(nodes))  # an axis has floats
+        check_room(self.max_nodes, self.room, "SearchRoot: ")
         checks.instance("SearchRoot: model", self.model, PlannerModel, "a MarioModel or MarioDynamics")
 
     @property
@@ -103,6 +110,7 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
             env.num_actions,
             depth=self.depth,
             max_nodes=self.max_nodes,
+            room=self.room,
             count=self.count,
             priority=self.priority,
             answer=self.answer,

@@ -272,10 +272,32 @@ def test_only_mario_can_be_played():
         hrl.train(hrl.make("Bus"), RelationalHORDQ(), jax.random.key(0), 1)
 
 
+def test_the_number_of_nodes_can_be_swept(walk: Recorded):
+    root = hrl.SearchRoot(model=hrl.MarioDynamics(), max_nodes=9, room=90, priority="last_reward")
+    learner = RelationalHORDQ(root)
+    assert learner.sweepable()["root.max_nodes"] == 9
+    assert learner.replaced({"root.max_nodes": 27.0}).root == dataclasses.replace(root, max_nodes=27)
+
+    def search(root: hrl.SearchRoot) -> Any:
+        return root.search(ENV, (), walk.first)
+
+    late = jax.jit(lambda nodes: search(dataclasses.replace(root, max_nodes=nodes)))
+    for max_nodes in (9, 90):
+        expected = jax.jit(lambda n=max_nodes: search(dataclasses.replace(root, max_nodes=n)))()
+        actual = late(F(max_nodes))
+        for field in ("actions", "value", "node"):
+            np.testing.assert_array_equal(getattr(actual, field), getattr(expected, field))
+        assert int(actual.tree.num_nodes) == int(expected.tree.num_nodes) == {9: 10, 90: 37}[max_nodes]
+    with pytest.raises(TypeError, match="SearchRoot: room must say how many nodes"):
+        jax.jit(lambda nodes: search(dataclasses.replace(root, max_nodes=nodes, room=None)))(F(9))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"depth": 0}, "depth must be an integer from 1 to 2147483647, got 0"),
+        ({"max_nodes": 10.5}, "SearchRoot: max_nodes must be an integer from 1 to 2147483647, got 10.5"),
+        ({"max_nodes": 600, "room": 300}, "SearchRoot: max_nodes must be an integer from 1 to 300, got 600"),
         ({"follow": "never"}, "follow must be one of 'every_step', 'sequence', got 'never'"),
         ({"model": None}, "model must be a MarioModel"),
     ],
