@@ -25,7 +25,7 @@ from hrljax.learners.child_values import Known, Q
 from hrljax.learners.fading import Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.roots.base import AnySubtaskRoot, Decision, Question, SubtaskRoot
-from hrljax.learners.stack import LevelEnd, StackOfSubtasks, StackState, Step, empty_stack
+from hrljax.learners.stack import Greedy, LevelEnd, StackOfSubtasks, StackState, Step, empty_stack
 from hrljax.learners.updates import Move, moved
 
 
@@ -155,19 +155,22 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
             tables = tables._replace(root=of_root)
         goes_on = ~transition.terminated & context.learns
 
-        def descend(known: Known) -> tuple[StackState, Q]:
-            return self._descend(known, stack, ends, task, is_new, after, words, goes_on)
+        def descend(known: Known, greedy: Greedy | None = None) -> tuple[StackState, Q]:
+            return self._descend(known, stack, ends, task, is_new, after, words, goes_on, greedy)
 
         # An off-policy learner chooses with what it has just learned, an on-policy one learns from its choice.
-        following = None
+        following, greedy = None, None
         if self.is_on_policy:
             following, q_next = descend(known)
         else:
-            q_next = self._greedy_next(known, before, ends, task, after)
+            slot, q_next = self._greedy_next(known, before, ends, task, after)
+            # To read a short row again takes less time than to ask whether it has changed.
+            if layout.num_levels == 1 and self._size > 2:
+                greedy = Greedy(slot, after != transition.state)
         q_next = jax.tree.map(lambda number: lax.select(transition.terminated, jnp.float32(0), number), q_next)
         moves = self.moves(known, Step(stack, transition, ends, q_next, following and following.action))
         q = moved(tables.q, moves, at_episode(self.step_size, context.episode), context)
-        following = following or descend(known._replace(q=q))[0]
+        following = following or descend(known._replace(q=q), greedy)[0]
         seen = self.after_seeing(tables.seen, transition, context)
         return LearnerState(tables._replace(q=q, seen=seen), following._replace(memory=memory))
 

@@ -1,5 +1,6 @@
 """A stack of running subtasks: what a step ends on it, and how it is filled again down to a primitive action."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, NamedTuple
 
@@ -13,7 +14,7 @@ from hrljax.core.flags import Flag, both, choose, either, opposite
 from hrljax.core.random import threshold
 from hrljax.hierarchy.layout import ChildSet, StackLayout
 from hrljax.learners.base import Control, Discounted, Prepared, Tables, Transition, Words
-from hrljax.learners.child_values import ChildValues, Known, Q
+from hrljax.learners.child_values import ChildValues, Known, Q, Row
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode
 from hrljax.learners.roots.base import AnySubtaskRoot
 
@@ -61,6 +62,17 @@ class LevelEnd:
     used: Flag  # a subtask runs here
     child: Flag  # its child ended
     exited: Flag  # it ended itself
+
+
+class Greedy(NamedTuple):
+    """The greedy slot of the subtask that decides next, as it was before the step was learned from."""
+
+    slot: Array  # int32
+    still: Array  # bool: the step has taught nothing of the state in which the subtask decides
+
+    def slot_or(self, read: Callable[[], Array]) -> Array:
+        """The greedy slot after the step; `read` where that may be another one."""
+        return lax.cond(self.still, lambda: self.slot, read)
 
 
 class Step(NamedTuple, Generic[Q]):
@@ -126,8 +138,10 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             reward = lax.select(stack.tasks[level + 1] < 0, reward, jnp.float32(0))
         return RunningChild(parent, state, slot, reward, context.discounted(discount))
 
-    def _greedy_next(self, known: Known, stack: StackState, ends: list[LevelEnd], task: Array, state: Array) -> Q:
-        """Values of the greedy child of the first learning subtask that takes control after a step.
+    def _greedy_next(
+        self, known: Known, stack: StackState, ends: list[LevelEnd], task: Array, state: Array
+    ) -> tuple[Array, Q]:
+        """The greedy child of the first learning subtask that takes control after a step: its slot, its values.
 
         Args:
             known: what it goes by.
@@ -139,9 +153,9 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
         for running, end in zip(stack.tasks[1:], ends[1:], strict=True):
             task = choose(both(end.used, opposite(end.exited)), running, task)
 
-        def of_children(children: ChildSet) -> Q:
+        def of_children(children: ChildSet) -> tuple[Array, Q]:
             row = self._row(known, children, task, state)
-            return self._values_of(known, children, task, state, row, row.best)
+            return row.best, self._values_of(known, children, task, state, row, row.best)
 
         return known.layout.by_child_set(known.layout.all_tasks, task, of_children)
 
@@ -155,6 +169,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
         state: Array,
         words: Words,
         goes_on: Flag = True,
+        greedy: Greedy | None = None,
     ) -> tuple[StackState, Q]:
         """Fills the stack down to a primitive action.
 
@@ -167,6 +182,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             state: after that step.
             words: one for each level, after the root's.
             goes_on: whether decisions have an effect.
+            greedy: what the subtask on the only level would choose, if that is known.
 
         Returns:
             The stack, without the root's memory; and the values of what the first subtask to decide invokes.
@@ -184,7 +200,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             asked = readable(task, used)
 
             def decide(level: int = level, asked: Array = asked) -> Choice[Q]:
-                return self._decide(known, level, asked, state, words[level + layout.offset])
+                return self._decide(known, level, asked, state, words[level + layout.offset], greedy)
 
             if isinstance(decides, bool):
                 choice = decide()
@@ -204,18 +220,25 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
         assert q_next is not None  # there is a level
         return StackState(action, tuple(tasks), tuple(pending), ()), q_next
 
-    def _decide(self, known: Known, level: int, task: Array, state: Array, word: Array) -> Choice[Q]:
+    def _decide(
+        self, known: Known, level: int, task: Array, state: Array, word: Array, greedy: Greedy | None = None
+    ) -> Choice[Q]:
         """The child that a subtask on a level invokes: the greedy one, or with probability epsilon any."""
         epsilon = at_episode(self.epsilon, known.context.episode)
 
         def of_children(children: ChildSet) -> Choice[Q]:
-            row = self._row(known, children, task, state)
+            def row() -> Row[Q]:
+                return self._row(known, children, task, state)
+
             if children.is_primitive:
-                slot = choices.epsilon_greedy(row.best, children.num_slots, word, epsilon)
+                best = row().best if greedy is None else greedy.slot_or(lambda: row().best)
+                slot = choices.epsilon_greedy(best, children.num_slots, word, epsilon)
+                q = self._stored_in(known, children, task, state, slot)
             else:
-                can = [jnp.bool_(True) if allowed is None else allowed for allowed in row.allowed]
-                slot = lax.select(word < threshold(epsilon), choices.nth_allowed(can, word), row.best)
-            q = self._values_of(known, children, task, state, row, slot)
+                now = row()
+                can = [jnp.bool_(True) if allowed is None else allowed for allowed in now.allowed]
+                slot = lax.select(word < threshold(epsilon), choices.nth_allowed(can, word), now.best)
+                q = self._values_of(known, children, task, state, now, slot)
             return Choice(*known.layout.child_of(children, slot), slot, q)
 
         return known.layout.by_child_set(known.layout.levels[level], task, of_children)
