@@ -1,6 +1,7 @@
 """Every example of the documentation runs, block after block, with fewer seeds and episodes than it says."""
 
 import importlib
+import inspect
 import pkgutil
 import re
 import shutil
@@ -24,6 +25,7 @@ PAGES = [
 ]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
 FENCE = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.M)
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 SEEDS, EPISODES = 4, 40
 each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 
@@ -45,6 +47,22 @@ def small(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
+class Printed:
+    """`print` for examples: what a line prints has the numbers that its comment says, if it has a comment."""
+
+    def __init__(self, document: Path):
+        self._lines = document.read_text().splitlines()
+
+    def __call__(self, *values: Any) -> None:
+        frame = inspect.currentframe()
+        assert frame is not None
+        assert frame.f_back is not None
+        line = self._lines[frame.f_back.f_lineno - 1]
+        if comment := re.search(r"  # (.+)", line):
+            printed = NUMBER.findall(" ".join(map(str, values)))
+            assert set(printed) <= set(NUMBER.findall(comment[1])), f"{line}\nprints {values}"
+
+
 @pytest.mark.filterwarnings("ignore:Port 8787 is already in use")  # of Dask's pages
 @each_document
 def test_examples_run(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -54,7 +72,7 @@ def test_examples_run(document: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(tmp_path)
     for name in ("sweep", "estimate"):
         monkeypatch.setattr(hrljax, name, small(getattr(hrljax, name)))
-    namespace: dict[str, Any] = {"__name__": "__main__"}
+    namespace: dict[str, Any] = {"__name__": "__main__", "print": Printed(document)}
     with patch.dict(registry._ENVIRONMENTS), patch.dict(gymnasium.registry):
         for block in code:
             shutil.rmtree("runs", ignore_errors=True)  # so that nobody finds the work done
@@ -106,6 +124,24 @@ def test_a_block_is_found_with_its_place(tmp_path: Path):
     document.write_text("text\n```python\nx = 1\n```\n```sh\npython x\n```\n```python\nraise ValueError(x)\n```\n")
     first, second = blocks(document, "python")
     assert (first, second) == ("\n\nx = 1\n", "\n" * 8 + "raise ValueError(x)\n")
+
+
+def test_what_an_example_prints_is_what_it_says(tmp_path: Path):
+    document = tmp_path / "x.md"
+    document.write_text("print(f'{x:.2f}')  # about -2.50\nprint(x)\n")
+    code = compile(document.read_text(), document, "exec")
+    exec(code, {"print": Printed(document), "x": -2.5})
+    with pytest.raises(AssertionError, match="prints"):
+        exec(code, {"print": Printed(document), "x": 2.5})
+
+
+@pytest.mark.parametrize("name", hrljax.registered())
+def test_every_environment_has_a_page_with_its_picture_numbers_and_options(name: str):
+    page = ROOT / "docs" / "environments" / f"{name.lower()}.md"
+    text, env = page.read_text(), hrljax.make(name)
+    assert text.splitlines()[2].startswith("!["), "a picture comes first"
+    missing = [word for word in (*env.default_params._fields, *env.__dataclass_fields__) if f"`{word}`" not in text]
+    assert not missing
 
 
 def test_docstrings_name_sections_that_exist():

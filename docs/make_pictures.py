@@ -1,0 +1,139 @@
+"""Draws the pictures of environments and learners: ``python docs/make_pictures.py`` draws all, with names only those.
+
+Pictures go to the folders of the pages that show them. Learning curves are means of `SEEDS` seeds.
+"""
+
+import sys
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from matplotlib.figure import Figure
+from PIL import Image
+
+import hrljax as hrl
+from hrljax.interop.gymnasium import from_table
+
+DOCS = Path(__file__).parent
+SEEDS = 100
+PICTURES: dict[str, Callable[[], Figure]] = {}
+"""What draws each picture, by its place below docs/, without ".png"."""
+
+
+def picture(place: str) -> Callable[[Callable[[], Figure]], Callable[[], Figure]]:
+    def add(draw: Callable[[], Figure]) -> Callable[[], Figure]:
+        PICTURES[place] = draw
+        return draw
+
+    return add
+
+
+def three_maps(env: Any, height: float, titles: dict[str, dict[str, int]], state: Any = None) -> Figure:
+    """A map, the optimal policy and the optimal value side by side.
+
+    Args:
+        env: the environment.
+        height: of the figure, in inches.
+        titles: of the three, each with what it shows of the state besides the cell.
+        state: shown in the map.
+    """
+    solution = hrl.solvers.value_iteration(env.model())
+    figure = Figure(figsize=(11, height), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    first, second, third = titles.items()
+    hrl.plots.state(env, state, left)
+    hrl.plots.policy(env, solution.policy, middle, **second[1])
+    hrl.plots.value(env, solution.value, right, **third[1])
+    for ax, (title, _) in zip((left, middle, right), (first, second, third), strict=True):
+        ax.set_title(title)
+    return figure
+
+
+@picture("environments/bus")
+def bus() -> Figure:
+    figure = three_maps(hrl.make("Bus"), 4.1, {"Map": {}, "Optimal policy": {}, "Optimal value": {}})
+    figure.supxlabel(
+        "no passenger on board, no road under construction; S: start, P: passengers, A, B: sites, dotted: doors", size=9
+    )
+    return figure
+
+
+@picture("environments/taxi")
+def taxi() -> Figure:
+    env = hrl.make("Taxi")
+    waiting, aboard = {"passenger": 2, "destination": 1}, {"passenger": 4, "destination": 1}
+    titles = {"A passenger at Y wants to G": {}, "Optimal policy": waiting, "Optimal value, passenger aboard": aboard}
+    middle = env.decode((12 * 5 + 2) * 4 + 1)
+    return three_maps(env, 4.1, titles, middle)
+
+
+@picture("environments/maze")
+def maze() -> Figure:
+    env = hrl.make("Maze")
+    return three_maps(env, 4.4, {"Two rooms, two doors": {}, "Optimal policy": {}, "Optimal value": {}}, env.decode(12))
+
+
+@picture("environments/gridworld")
+def gridworld() -> Figure:
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    rooms, cliff = hrl.make("Gridworld"), hrl.make("Gridworld", map="cliff")
+    hrl.plots.policy(rooms, hrl.solvers.value_iteration(rooms.model()).policy, left)
+    slippery = cliff.model(cliff.default_params._replace(slip_probability=0.2))
+    hrl.plots.policy(cliff, hrl.solvers.value_iteration(slippery).policy, right)
+    left.set_title("map='four_rooms', the default: optimal policy")
+    right.set_title("map='cliff' with slip_probability=0.2: optimal policy")
+    return figure
+
+
+@picture("environments/from_table")
+def frozen_lake() -> Figure:
+    lake = from_table(gymnasium.make("FrozenLake-v1", is_slippery=False))
+    slippery = from_table(gymnasium.make("FrozenLake-v1"))
+    curves = {
+        name: hrl.sweep(
+            env, hrl.QLearning(initial_value=1.0, discount=0.99), seeds=SEEDS, num_episodes=5_000, progress=False
+        )
+        for name, env in (("FrozenLake", lake), ("slippery FrozenLake", slippery))
+    }
+    figure = Figure(figsize=(7, 3.8), layout="constrained")
+    optimum = slippery.initial_distribution() @ hrl.solvers.value_iteration(slippery.model()).value
+    hrl.plots.learning_curves(
+        curves, window=100, ax=figure.subplots(), references={"optimum, slippery, without a limit": float(optimum)}
+    )
+    return figure
+
+
+def task_graph(env: Any) -> Figure:
+    return hrl.plots.task_graph(env.hierarchy()).figure  # type: ignore[return-value]
+
+
+for name, env in (
+    ("bus", hrl.make("Bus")),
+    ("taxi", hrl.make("Taxi")),
+    ("maze", hrl.make("Maze")),
+    ("gridworld", hrl.make("Gridworld")),
+):
+    PICTURES[f"environments/{name}_hierarchy"] = lambda env=env: task_graph(env)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Writes a PNG with a palette, which is a third of the size of one without."""
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=100)
+    path.parent.mkdir(exist_ok=True)
+    Image.open(drawn).convert("RGB").quantize(128).save(path, optimize=True)
+    print(f"{path.relative_to(DOCS)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
+
+
+def main(names: list[str]) -> None:
+    if unknown := set(names) - PICTURES.keys():
+        sys.exit(f"no picture {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
+    for place in names or PICTURES:
+        save(PICTURES[place](), DOCS / f"{place}.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
