@@ -13,12 +13,15 @@ import gymnasium
 from matplotlib.figure import Figure
 from PIL import Image
 
+sys.path.insert(0, str(Path(__file__).parent))
+import learner_pictures
+from learner_pictures import SEEDS
+
 import hrljax as hrl
 from hrljax.interop.gymnasium import from_table
 
 DOCS = Path(__file__).parent
-SEEDS = 100
-PICTURES: dict[str, Callable[[], Figure]] = {}
+PICTURES: dict[str, Callable[[], Figure]] = dict(learner_pictures.PICTURES)
 """What draws each picture, by its place below docs/, without ".png"."""
 
 

@@ -144,6 +144,23 @@ def test_every_environment_has_a_page_with_its_picture_numbers_and_options(name:
     assert not missing
 
 
+LEARNERS = sorted(
+    name
+    for name in hrljax.__all__
+    if isinstance(thing := getattr(hrljax, name), type) and issubclass(thing, hrljax.learners.Learner)
+)
+
+
+@pytest.mark.parametrize("name", [*LEARNERS, "ModelRoot", "RandomRoot", "SearchRoot", "Fading"])
+def test_every_learner_has_a_page_with_its_curve_and_its_rule(name: str):
+    """A page in docs/learners that points to its API."""
+    pages = [page.read_text() for page in (ROOT / "docs" / "learners").glob("*.md")]
+    text = next(text for text in pages if f"<hrljax.{name}>`" in text)
+    assert text.splitlines()[2].startswith("!["), "a picture comes first"
+    assert "$$" in text
+    assert "**Source**" in text
+
+
 def test_docstrings_name_sections_that_exist():
     """Modules point to sections of documents by their titles: docs/page.md, "Title"."""
     named = set()

@@ -1,0 +1,148 @@
+"""Learning curves for the pages of learners, each beside what it is compared with."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from matplotlib.figure import Figure
+
+import hrljax as hrl
+
+SEEDS = 100
+
+
+def curves(
+    env: Any,
+    learners: Mapping[str, Any],
+    episodes: int,
+    *,
+    window: int,
+    lowest: float,
+    title: str,
+    params: Any = None,
+) -> Figure:
+    """Returns per episode, exploration included, and the exact optimum."""
+    runs = {
+        name: hrl.sweep(env, learner, seeds=SEEDS, num_episodes=episodes, params=params, progress=False)
+        for name, learner in learners.items()
+    }
+    optimum = env.initial_distribution(params) @ hrl.solvers.value_iteration(env.model(params)).value
+    figure = Figure(figsize=(7.5, 4), layout="constrained")
+    ax = figure.subplots()
+    hrl.plots.learning_curves(runs, window=window, ax=ax, references={"optimum": float(optimum)})
+    ax.set_title(f"{title}, {SEEDS} seeds")
+    ax.set_ylim(lowest, float(optimum) + 0.06 * (float(optimum) - lowest))
+    return figure
+
+
+def rooms(learners: Mapping[str, Any], episodes: int = 150) -> Figure:
+    return curves(hrl.make("Gridworld"), learners, episodes, window=5, lowest=-200, title="Four rooms")
+
+
+def maze(learners: Mapping[str, Any]) -> Figure:
+    return curves(hrl.make("Maze"), learners, 150, window=5, lowest=-30, title="Maze")
+
+
+def taxi(learners: Mapping[str, Any]) -> Figure:
+    return curves(hrl.make("Taxi"), learners, 500, window=20, lowest=-120, title="Taxi")
+
+
+def bus(learners: Mapping[str, Any]) -> Figure:
+    return curves(hrl.make("Bus"), learners, 5_000, window=100, lowest=-120, title="Bus")
+
+
+def q_learning() -> Figure:
+    return maze({f"step_size={alpha:g}": hrl.QLearning(step_size=alpha) for alpha in (0.05, 0.2, 1.0)})
+
+
+def sarsa() -> Figure:
+    env = hrl.make("Gridworld", map="cliff")
+    learners = {"SARSA(0)": hrl.SARSA(step_size=0.5), "Q-learning": hrl.QLearning(step_size=0.5)}
+    return curves(env, learners, 500, window=20, lowest=-100, title="Cliff")
+
+
+def traces() -> Figure:
+    return rooms(
+        {
+            "SARSA(0.9)": hrl.SARSALambda(step_size=0.2),
+            "Q(0.9)": hrl.QLambda(step_size=0.2),
+            "SARSA(0)": hrl.SARSA(step_size=0.2),
+            "Q-learning": hrl.QLearning(step_size=0.2),
+        }
+    )
+
+
+def dyna_q() -> Figure:
+    return rooms({f"planning_steps={n}": hrl.DynaQ(step_size=0.2, planning_steps=n) for n in (0, 5, 50)})
+
+
+def r_max() -> Figure:
+    return maze(
+        {
+            "R-MAX": hrl.RMax(known_after=1),
+            "Dyna-Q": hrl.DynaQ(step_size=0.5),
+            "Q-learning": hrl.QLearning(step_size=0.5),
+        }
+    )
+
+
+def options() -> Figure:
+    env = hrl.make("Gridworld")
+    ways = hrl.options_from(env.hierarchy(), env)
+    return rooms(
+        {
+            "options, SMDP": hrl.OptionQ(ways, step_size=0.2),
+            "options, intra-option": hrl.OptionQ(ways, step_size=0.2, update="intra_option"),
+            "Q-learning": hrl.QLearning(step_size=0.2),
+        }
+    )
+
+
+def hamq() -> Figure:
+    hierarchy = hrl.make("Taxi").hierarchy()
+    return taxi({"HAMQ": hrl.HAMQ(hierarchy, step_size=0.5), "Q-learning": hrl.QLearning(step_size=0.5)})
+
+
+def maxq() -> Figure:
+    hierarchy = hrl.make("Taxi").hierarchy()
+    return taxi(
+        {
+            "MAXQ-Q, pseudo_reward=20": hrl.MAXQ(hierarchy, step_size=0.5, pseudo_reward=20.0),
+            "MAXQ-0": hrl.MAXQ0(hierarchy, step_size=0.5),
+            "Q-learning": hrl.QLearning(step_size=0.5),
+        }
+    )
+
+
+def hordq() -> Figure:
+    hierarchy, root = hrl.make("Bus").hierarchy(), hrl.ModelRoot()
+    learners = {
+        f"HORDQ, pseudo_reward={kappa:g}": hrl.HORDQ(hierarchy, root=root, initial_value=-25.0, pseudo_reward=kappa)
+        for kappa in (0.0, 5.0, 60.0)
+    }
+    return bus(learners | {"Q-learning": hrl.QLearning(initial_value=-25.0)})
+
+
+def shared_hordq() -> Figure:
+    hierarchy, root = hrl.make("Bus").hierarchy(), hrl.ModelRoot()
+    return bus(
+        {
+            "shared, fading": hrl.SharedHORDQ(hierarchy, root=root, initial_value=-25.0),
+            "shared, pseudo_reward=5": hrl.SharedHORDQ(hierarchy, root=root, initial_value=-25.0, pseudo_reward=5.0),
+            "HORDQ, pseudo_reward=5": hrl.HORDQ(hierarchy, root=root, initial_value=-25.0, pseudo_reward=5.0),
+            "Q-learning": hrl.QLearning(initial_value=-25.0),
+        }
+    )
+
+
+def roots() -> Figure:
+    hierarchy = hrl.make("Bus").hierarchy()
+    kinds = {"ModelRoot()": hrl.ModelRoot(), "RandomRoot()": hrl.RandomRoot(), "None, which learns": None}
+    return bus(
+        {f"root={name}": hrl.SharedHORDQ(hierarchy, root=root, initial_value=-25.0) for name, root in kinds.items()}
+    )
+
+
+PICTURES: dict[str, Callable[[], Figure]] = {
+    f"learners/{draw.__name__}": draw
+    for draw in (q_learning, sarsa, traces, dyna_q, r_max, options, hamq, maxq, hordq, shared_hordq, roots)
+}
