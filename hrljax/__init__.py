@@ -12,6 +12,7 @@ _xla.request_native_loops()
 __version__ = _version("hrljax")
 
 from hrljax import solvers  # noqa: E402
+from hrljax.engine import batch as _batch  # noqa: E402
 from hrljax.engine.run import Run  # noqa: E402
 from hrljax.engine.train import train  # noqa: E402
 from hrljax.envs.base import Environment, TabularEnvironment  # noqa: E402
@@ -37,11 +38,14 @@ from hrljax.learners.roots.random import RandomRoot  # noqa: E402
 from hrljax.learners.shared import SharedHORDQ  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
 from hrljax.search.best_first import best_first_search  # noqa: E402
+from hrljax.solvers import sweeps as _sweeps  # noqa: E402
 from hrljax.sweeps.estimate import estimate  # noqa: E402
 from hrljax.sweeps.io import load, save  # noqa: E402
 from hrljax.sweeps.learned import Learned  # noqa: E402
 from hrljax.sweeps.processes import processes  # noqa: E402
 from hrljax.sweeps.sweep import sweep  # noqa: E402
+
+_sweeps.loops_are_native = lambda: _batch.resolve_mapping("auto") == "native"
 
 if _TYPE_CHECKING:
     from hrljax import plots, stats

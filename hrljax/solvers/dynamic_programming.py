@@ -14,6 +14,11 @@ from jax.core import Tracer
 
 from hrljax.core import checks
 from hrljax.solvers.model import Model, check_model
+from hrljax.solvers.sweeps import Backup, change, settled, soft_value
+
+MOST_SOLVED_STATES = 2048
+"""With more states, `policy_iteration` evaluates policies by sweeps instead of linear systems."""
+_MAX_SWEEPS = 100_000
 
 
 class Solution(NamedTuple):
@@ -33,7 +38,7 @@ def action_values(model: Model, value: Array, discount: float | Array = 1.0) -> 
     """
     _check(model, discount=discount)
     checks.as_array("value", value, np.floating, (model.num_states,), "numbers", may_be_traced=True)
-    return _backup(model, value, discount)
+    return Backup.of(model, discount).q(jnp.asarray(value))
 
 
 def _check(model: Model, *, tolerance: float = 0.0, **shares: float | Array) -> None:
@@ -44,26 +49,6 @@ def _check(model: Model, *, tolerance: float = 0.0, **shares: float | Array) -> 
     checks.number("tolerance", tolerance, checks.NOT_NEGATIVE, may_be_traced=True)
 
 
-def _backup(model: Model, value: Array, discount: float | Array) -> Array:
-    """`action_values`, not checked."""
-    probability = jnp.asarray(model.probability)
-    follows = jnp.asarray(value)[jnp.asarray(model.next_state)]
-    follows = jnp.where(jnp.asarray(model.terminated), jnp.zeros_like(follows), follows)
-    discount = jnp.asarray(discount, probability.dtype)
-    return (probability * (jnp.asarray(model.reward, probability.dtype) + discount * follows)).sum(-1)
-
-
-def _change(old: Array, new: Array) -> Array:
-    """Greatest change of a value, relative to one plus the greatest value."""
-    return jnp.abs(new - old).max() / (1 + jnp.abs(new).max())
-
-
-def soft_value(q: Array, epsilon: float | Array) -> Array:
-    """Value of the epsilon-greedy policy of `q` at each state: ``(1 - e) max q + e mean q``."""
-    epsilon = jnp.asarray(epsilon, q.dtype)
-    return (1 - epsilon) * q.max(-1) + epsilon * q.mean(-1)
-
-
 def value_iteration(
     model: Model,
     discount: float | Array = 1.0,
@@ -71,7 +56,10 @@ def value_iteration(
     tolerance: float = 1e-6,
     max_sweeps: int | Array = 100_000,
 ) -> Solution:
-    """The optimal values, by sweeps of ``V <- max_a Q`` from zero (Bellman 1957).
+    """The optimal values, by sweeps of ``V(s) <- max_a Q(s, a)`` until they hold (Bellman 1957).
+
+    They start from zero with discount 1, else from the value of the worst reward for ever: from below, a value
+    travels as far as a sweep looks, while values that are too great come down by one step's reward a sweep.
 
     Args:
         model: the decision process.
@@ -93,17 +81,10 @@ def value_iteration(
 def _value_iteration(
     model: Model, discount: float | Array, epsilon: float | Array, tolerance: float, max_sweeps: int | Array
 ) -> Solution:
-    def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        value, _, count = carry
-        updated = soft_value(_backup(model, value, discount), epsilon)
-        return updated, _change(value, updated), count + 1
-
-    start = jnp.zeros(model.num_states, jnp.asarray(model.probability).dtype)
-    changed = jnp.array(jnp.inf, start.dtype)
-    value, _, count = lax.while_loop(
-        lambda c: (c[1] > tolerance) & (c[2] < max_sweeps), sweep, (start, changed, jnp.int32(0))
-    )
-    q = _backup(model, value, discount)
+    backup = Backup.of(model, discount)
+    start = jnp.full(model.num_states, backup.least_value(discount))
+    value, count = settled(backup, start, epsilon, tolerance, max_sweeps)
+    q = backup.q(value)
     return Solution(q, soft_value(q, epsilon), jnp.argmax(q, -1).astype(jnp.int32), count)
 
 
@@ -154,14 +135,16 @@ def _check_policy(model: Model, policy: Array | np.ndarray) -> None:
 def _policy_evaluation(
     model: Model, policy: Array, discount: float | Array, horizon: int | Array, tolerance: float
 ) -> Array:
+    backup = Backup.of(model, discount)
+
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         value, _, count = carry
-        q = _backup(model, value, discount)
+        q = backup.q(value)
         if policy.ndim == 1:
             updated = jnp.take_along_axis(q, policy[:, None], axis=-1)[:, 0]
         else:
             updated = (policy.astype(q.dtype) * q).sum(-1)
-        return updated, _change(value, updated), count + 1
+        return updated, change(value, updated), count + 1
 
     start = jnp.zeros(model.num_states, jnp.asarray(model.probability).dtype)
     changed = jnp.array(jnp.inf, start.dtype)
@@ -181,12 +164,14 @@ def transition_matrix(model: Model, policy: Array) -> tuple[Array, Array]:
 
 
 def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvements: int | Array = 1000) -> Solution:
-    """The optimal values, by exact evaluation and greedy improvement (Howard 1960).
+    """The optimal values, by evaluation to rounding and greedy improvement (Howard 1960).
 
-    Starts from the uniformly random policy, which ends every episode that some policy can end, so
-    that discount 1 is no special case. Solves ``[S, S]`` linear systems: needs ``S * S`` memory.
-    A new action replaces an old one only where it is better by more than rounding, and actions that
-    tie share the probability meanwhile, so that a policy that ends its episodes stays one.
+    Up to `MOST_SOLVED_STATES` it starts from the uniformly random policy, which ends every episode that some policy
+    can end, so that discount 1 is no special case, and solves ``[S, S]`` linear systems. A new action replaces an
+    old one only where it is better by more than rounding, and actions that tie share the probability meanwhile, so
+    that a policy that ends its episodes stays one. With more states it starts from the policy that
+    `value_iteration` finds, and evaluates by sweeps from the last policy's values (Puterman and Shin 1978): it needs
+    no more memory than the model.
 
     Args:
         model: the decision process.
@@ -203,6 +188,39 @@ def policy_iteration(model: Model, discount: float | Array = 1.0, max_improvemen
 
 @jax.jit
 def _policy_iteration(model: Model, discount: float | Array, max_improvements: int | Array) -> Solution:
+    if model.num_states > MOST_SOLVED_STATES:
+        return _policy_iteration_by_sweeps(model, discount, max_improvements)
+    return _policy_iteration_by_systems(model, discount, max_improvements)
+
+
+def _margin(value: Array) -> Array:
+    """By how much one action's value has to exceed another's to be the better one, for all its rounding."""
+    return 100 * float(jnp.finfo(value.dtype).eps) * (1 + jnp.abs(value))
+
+
+def _policy_iteration_by_sweeps(model: Model, discount: float | Array, max_improvements: int | Array) -> Solution:
+    backup = Backup.of(model, discount)
+    rounding = float(jnp.finfo(backup.reward.dtype).eps)
+
+    def improve(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        value, policy, _, count = carry
+        value, _ = settled(backup.of_policy(policy), value, 0.0, rounding, _MAX_SWEEPS)
+        q = backup.q(value)
+        current = jnp.take_along_axis(q, policy[:, None], -1)[:, 0]
+        is_better = q.max(-1) > current + _margin(current)
+        return value, jnp.where(is_better, jnp.argmax(q, -1).astype(jnp.int32), policy), is_better.any(), count + 1
+
+    start = _value_iteration(model, discount, 0.0, 1e-6, _MAX_SWEEPS)
+    value, policy, _, count = lax.while_loop(
+        lambda c: c[2] & (c[3] < max_improvements), improve, (start.value, start.policy, jnp.bool_(True), jnp.int32(0))
+    )
+    value, _ = settled(backup.of_policy(policy), value, 0.0, rounding, _MAX_SWEEPS)
+    return Solution(backup.q(value), value, policy, count)
+
+
+def _policy_iteration_by_systems(model: Model, discount: float | Array, max_improvements: int | Array) -> Solution:
+    backup = Backup.of(model, discount)
+
     def evaluate(policy: Array) -> Array:
         matrix, reward = transition_matrix(model, policy)
         identity = jnp.eye(model.num_states, dtype=matrix.dtype)
@@ -210,9 +228,9 @@ def _policy_iteration(model: Model, discount: float | Array, max_improvements: i
 
     def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         policy, _, count = carry
-        q = _backup(model, evaluate(policy), discount)
+        q = backup.q(evaluate(policy))
         current = (policy * q).sum(-1)
-        margin = 100 * jnp.finfo(q.dtype).eps * (1 + jnp.abs(current))
+        margin = _margin(current)
         best = q.max(-1)
         renew = (best > current + margin) | (policy.max(-1) < 1)
         ties = (q >= (best - margin)[:, None]).astype(q.dtype)
@@ -224,5 +242,5 @@ def _policy_iteration(model: Model, discount: float | Array, max_improvements: i
     policy, _, count = lax.while_loop(
         lambda c: c[1] & (c[2] < max_improvements), improve, (uniform, jnp.bool_(True), jnp.int32(0))
     )
-    q = _backup(model, evaluate(policy), discount)
+    q = backup.q(evaluate(policy))
     return Solution(q, (policy * q).sum(-1), jnp.argmax(policy, -1).astype(jnp.int32), count)
