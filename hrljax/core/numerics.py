@@ -7,12 +7,13 @@ depending on how it cut the program into kernels. Two mappings of one function (
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 
 P = ParamSpec("P")
@@ -24,17 +25,59 @@ def take(table: Array, index: Array) -> Array:
 
     `index` is a non-negative int32 or uint32 scalar; one beyond the end reads the last entry.
     """
-    return lax.dynamic_slice(table, (index.astype(jnp.uint32),), (1,))[0]
+    return take_row(table, index, 1)[0]
 
 
 def take_row(table: Array, start: Array, length: int) -> Array:
     """``table[start : start + length]`` of a vector; `start` as in `take`."""
-    return lax.dynamic_slice(table, (start.astype(jnp.uint32),), (length,))
+
+    @custom_vmap
+    def read(table: Array, start: Array) -> Array:
+        return lax.dynamic_slice(table, (start,), (length,))
+
+    @read.def_vmap
+    def read_each(size: int, batched: list[bool], table: Array, start: Array) -> tuple[Array, bool]:
+        if not batched[1]:
+            return lax.dynamic_slice_in_dim(table, start, length, axis=1), True
+        flat, places = _in_one_vector(table, start, length)
+        numbers = lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
+        return lax.gather(flat, places, numbers, (length,), mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS), True
+
+    return read(table, start.astype(jnp.uint32))
 
 
 def put_row(table: Array, start: Array, row: Array) -> Array:
     """`table` with ``table[start : start + len(row)]`` replaced by `row`."""
-    return lax.dynamic_update_slice(table, row, (start.astype(jnp.uint32),))
+
+    @custom_vmap
+    def write(table: Array, start: Array, row: Array) -> Array:
+        return lax.dynamic_update_slice(table, row, (start,))
+
+    @write.def_vmap
+    def write_each(size: int, batched: list[bool], *arguments: Array) -> tuple[Array, bool]:
+        table, start, row = (
+            leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape))
+            for leaf, is_batched in zip(arguments, batched, strict=True)
+        )
+        flat, places = _in_one_vector(table, start, row.shape[1])
+        numbers = lax.ScatterDimensionNumbers((1,), (), (0,))
+        mode = lax.GatherScatterMode.PROMISE_IN_BOUNDS
+        flat = lax.scatter(flat, places, row, numbers, indices_are_sorted=True, unique_indices=True, mode=mode)
+        return flat.reshape(table.shape), True
+
+    return write(table, start.astype(jnp.uint32), row)
+
+
+def _in_one_vector(tables: Array, starts: Array, length: int) -> tuple[Array, Array]:
+    """The tables of N runs, or the one that all have, as one vector, and where in it rows begin (``[N, 1]`` int32).
+
+    What `vmap` would make of a slice, a gather with an axis of runs, takes much longer.
+    """
+    size = tables.shape[-1]
+    places = lax.min(starts, np.uint32(size - length)).astype(jnp.int32)
+    if tables.ndim == 2:
+        places += np.arange(len(tables), dtype=np.int32) * np.int32(size)
+    return tables.reshape(-1), places[:, None]
 
 
 def opaque_zero(word: Array) -> Array:
@@ -70,17 +113,6 @@ def expectation(probabilities: list[Array], values: list[Array], zero: Array) ->
     for probability, value in zip(probabilities, values, strict=True):
         total = total + exact_product(probability, value, zero)
     return total
-
-
-def once_if(condition: Array, update: Callable[[Any], Any], tables: Any) -> Any:
-    """``update(tables)`` where `condition` holds, else `tables`.
-
-    A loop of at most one turn changes its tables in place; a branch would copy them. Under `vmap`
-    it takes its turn, for all runs of a batch, when any of them needs it: suits what is rare.
-    """
-    return lax.while_loop(
-        lambda carry: carry[0], lambda carry: (jnp.bool_(False), update(carry[1])), (condition, tables)
-    )[1]
 
 
 def stage(function: Callable[P, T]) -> Callable[P, T]:

@@ -120,6 +120,10 @@ class WordBlock:
         """The words of position `i` (int32 scalar), scalars."""
         return self._packed(lambda first: take(self.pairs, i + np.int32(first)))
 
+    def positions(self) -> "WordBlock":
+        """A block of one position for each of them, on a leading axis ``[length]``."""
+        return WordBlock(self.pairs.reshape(-1, self.length).T, 1, self.num_words)
+
     def columns(self) -> tuple[Array, ...]:
         """Each word at all positions, ``[length]``."""
         return self._packed(lambda first: self.pairs[first : first + self.length])

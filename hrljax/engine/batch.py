@@ -1,8 +1,8 @@
 """The only module that knows of many runs, of cores and of hardware.
 
 A run is a pure function of one set of scalars. `run_many` maps it over rows of such sets: with a
-native loop on every core of a CPU, or with `vmap` on an accelerator. What a row gives does not
-depend on the mapping, the chunks, the executor or the number of cores, bit for bit.
+native loop on every core of a CPU, or with `vmap`, where runs take their steps together. What a row
+gives does not depend on the mapping, the chunks, the executor or the number of cores, bit for bit.
 """
 
 import os
@@ -22,6 +22,8 @@ from hrljax.engine import compiler
 
 Mapping = Literal["auto", "native", "vmap"]
 _MAX_CHUNK = {"native": 16, "vmap": 256}
+_GROUP = 64
+"""Rows of a chunk that go together under `vmap` on a CPU: with more, their tables leave its cache."""
 _CHUNKS_OF_A_STORE = 64
 _CHUNKS_WITH_AN_EXECUTOR = 256
 """Chunks that an executor of unknown size is given at a time."""
@@ -59,19 +61,48 @@ def compile_mapped(
     `nested` says that its steps hold loops of their own, see `hrljax.engine.compiler.NESTED_OPTIONS`.
     """
     if mapping == "vmap":
-        # Inner loops become native on a CPU even here, and cannot call its thread pool.
-        on_cpu = nested and jax.default_backend() == "cpu" and compiler.native_loops_available()
-        return jax.jit(jax.vmap(function), compiler_options=dict(compiler.NESTED_OPTIONS) if on_cpu else None)
+        if not _native_lockstep():
+            return jax.jit(jax.vmap(function))
+        return jax.jit(_in_groups(function), compiler_options=dict(compiler.NESTED_OPTIONS))
     options = compiler.NESTED_OPTIONS if nested else compiler.OPTIONS
     return jax.jit(lambda rows: lax.map(function, rows), compiler_options=dict(options))
+
+
+def _native_lockstep() -> bool:
+    """Whether the loops of runs mapped by `vmap` become native too."""
+    return jax.default_backend() == "cpu" and compiler.native_loops_available()
+
+
+def _in_groups(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function of a row, mapped over the rows of a chunk by `vmap`, at most `_GROUP` at a time."""
+
+    def mapped(rows: Any) -> Any:
+        num_rows = len(jax.tree.leaves(rows)[0])
+        groups = -(-num_rows // _GROUP)
+        if groups == 1:
+            return jax.vmap(function)(rows)
+        # The last group is filled up with copies of the last row.
+        index = np.minimum(np.arange(groups * -(-num_rows // groups)), num_rows - 1).reshape(groups, -1)
+        values = lax.map(jax.vmap(function), jax.tree.map(lambda a: a[index], rows))
+        return jax.tree.map(lambda a: lax.collapse(a, 0, 2)[:num_rows], values)
+
+    return mapped
+
+
+def most_at_once(mapping: Literal["native", "vmap"], cores: int | None, num_chunks: int) -> int:
+    """Chunks that threads of this process run at a time: one where XLA spreads a chunk over cores by itself."""
+    if mapping == "vmap" and not _native_lockstep():
+        return 1
+    return min(cores or usable_cores(), num_chunks)
 
 
 def chunk_length(num_rows: int, cores: int, mapping: Literal["native", "vmap"], chunk_size: int | None) -> int:
     """Rows in a chunk: small enough that every core gets several, for progress and Ctrl-C."""
     if chunk_size is not None:
         return min(chunk_size, num_rows)
-    shares = 4 * cores if mapping == "native" else 1
-    return max(1, min(_MAX_CHUNK[mapping], -(-num_rows // shares)))
+    if mapping == "native":
+        return max(1, min(_MAX_CHUNK[mapping], -(-num_rows // (4 * cores))))
+    return max(1, min(_MAX_CHUNK[mapping], num_rows, max(_GROUP, -(-num_rows // cores))))
 
 
 def portable_chunk_length(num_rows: int, seeds: int, mapping: Literal["native", "vmap"], chunk_size: int | None) -> int:
@@ -121,8 +152,8 @@ def run_many(
             chunk and of the length to compute it in.
         rows: a pytree of NumPy arrays with a leading axis [rows].
         mapping: the mapping that `run` was made for.
-        cores: chunks that run at a time; all usable cores if None. One under `vmap`, which spreads
-            a chunk over cores by itself. With an executor, the chunks that it is given at a time.
+        cores: chunks that run at a time; all usable cores if None. With an executor, the chunks that it is given
+            at a time. Without native loops XLA spreads each chunk over cores by itself, one after the other.
         chunk_size: rows in a chunk; chosen if None.
         chunks: the rows of each chunk that is to be computed; all rows in chunks of `chunk_size` if None.
         executor: where chunks are computed; threads of this process if None.
@@ -132,10 +163,7 @@ def run_many(
     """
     rows = jax.tree.map(np.asarray, rows)
     num_rows = len(jax.tree.leaves(rows)[0])
-    if executor is None:
-        at_once = 1 if mapping == "vmap" else min(cores or usable_cores(), num_rows)
-    else:
-        at_once = cores or _CHUNKS_WITH_AN_EXECUTOR
+    at_once = most_at_once(mapping, cores, num_rows) if executor is None else cores or _CHUNKS_WITH_AN_EXECUTOR
     length = chunk_length(num_rows, at_once, mapping, chunk_size)
     collected = collected or Collected(num_rows)
 

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -41,6 +42,10 @@ class Simulator(ABC, Generic[Counter]):
     def block(self, key: tuple[Array, Array], start: Count) -> Any:
         """What `BLOCK` steps need of random words, from position `start` on."""
         return random.word_block(key, start, BLOCK, self._num_words)
+
+    def positions(self, block: Any) -> Any:
+        """Blocks of one position each, on a leading axis [BLOCK], for a loop that comes to all of them in turn."""
+        return block.positions()
 
     def learner_words(self, block: Any, position: Array) -> tuple[Array, ...]:
         """The words of a block's position (int32) that are the learner's."""
@@ -106,6 +111,9 @@ class _LookedUp(_Tabular):
         of_env, of_learner = words[: self.env.num_words], words[self.env.num_words :]
         place = self._table.place(of_env) if of_env else jnp.zeros(BLOCK, jnp.int32)
         return place, of_learner
+
+    def positions(self, block: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
+        return jax.tree.map(lambda words: words[:, None], block)
 
     def learner_words(self, block: tuple[Array, tuple[Array, ...]], position: Array) -> tuple[Array, ...]:
         return tuple(take(words, position) for words in block[1])

@@ -5,6 +5,7 @@ from jax.core import Tracer
 
 from hrljax.core import checks, forks, random
 from hrljax.core.environment import Numbers
+from hrljax.engine.lockstep import Lockstep
 from hrljax.engine.run import Run, default_bin_size
 from hrljax.engine.start import Start, Startable, checked_start
 from hrljax.engine.trainer import Trainer
@@ -73,7 +74,7 @@ def run_once(
     check_before_training(env, numbers, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
     learner = with_tabulated_schedules(learner, num_episodes, 0 if begin is None else begin.episodes)
-    trainer = Trainer(env, learner, key, numbers, num_episodes, vmapped, begin)
+    trainer = (Lockstep if vmapped else Trainer)(env, learner, key, numbers, num_episodes, begin)
     return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
 
 

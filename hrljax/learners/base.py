@@ -10,7 +10,8 @@ import numpy as np
 from jax import Array
 
 from hrljax.core.environment import Words
-from hrljax.core.numerics import exact_product, once_if
+from hrljax.core.lockstep import any_run, once_if
+from hrljax.core.numerics import exact_product
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.learners.hyperparameters import Settings
 
@@ -33,7 +34,7 @@ class Context(NamedTuple):
     learns: Array  # bool: False where nothing may change; a Python constant unless runs are mapped by vmap
     zero: Array  # uint32: `hrljax.core.numerics.opaque_zero`
     vmapped: bool = False
-    """Static: many runs take their steps together, so that a branch costs as much as both its sides."""
+    """Static: runs take their steps together, so that a branch costs as much as both its sides."""
 
     def product(self, a: Array | np.float32, b: Array) -> Array:
         """``a * b``, rounded by itself; see `hrljax.core.numerics.exact_product`."""
@@ -42,6 +43,13 @@ class Context(NamedTuple):
     def discounted(self, discount: Array | np.float32) -> Discounted:
         """``x -> discount * x``, rounded by itself."""
         return lambda value: exact_product(discount, value, self.zero)
+
+    def any_run(self, flag: Array) -> Array:
+        """A flag as the condition of a loop: under vmap whether it holds for any run of the batch.
+
+        There the loop's body has to leave alone what belongs to a run whose own flag does not hold.
+        """
+        return any_run(flag) if self.vmapped else flag
 
     def when(self, condition: Array, update: "Callable[[T, Context], T]", tables: T) -> T:
         """``update(tables, context)`` where `condition` holds, else `tables`.
@@ -134,10 +142,7 @@ class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
         """
 
     def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
-        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`.
-
-        Leaves them alone where `context` does not learn.
-        """
+        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`."""
         return tables
 
     def greedy_policy(self, env: Any, prepared: Prepared, tables: Tables, context: Context) -> HierarchicalPolicy:

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.core.numerics import once_if, take
+from hrljax.core.lockstep import once_if
+from hrljax.core.numerics import take
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
 from hrljax.learners.base import Context, LearnerState, Transition, Words
@@ -29,8 +30,7 @@ class RMax(ActionValueLearner):
     A (state, action) pair is known after `known_after` visits. Its model is the mean of their
     outcomes and stays as it is; every other pair is worth `optimistic_value`. Whenever a pair
     becomes known, and only then, value iteration improves the action values, from where the last one
-    left them, until a sweep changes none by more than `planning_tolerance`. Runs mapped with `vmap`
-    all plan when one of them does, so native loops are many times faster.
+    left them, until a sweep changes none by more than `planning_tolerance`.
 
     Attributes:
         epsilon: probability of a uniformly random action, or a schedule of the episode; R-MAX itself

@@ -114,15 +114,14 @@ class _Traced(StepSizeLearner):
         def goes_on(walk: _Walk) -> Array:
             return (walk.age < length) & (walk.trace >= cutoff)
 
-        def further(walk: _Walk, learns: Array) -> _Walk:
+        def further(walk: _Walk) -> _Walk:
+            # A run may have come to its end before the others of its batch.
+            learns = context.learns & goes_on(walk) if context.vmapped else context.learns
             moved = self._one_moved(walk, pair, newest, change, context._replace(learns=learns))
             return _Walk(walk.age + 1, context.product(decay, walk.trace), moved)
 
         walk = _Walk(jnp.int32(0), jnp.float32(1), tables)
-        if context.vmapped:
-            every = jnp.int32(0), jnp.int32(self.trace_length)
-            return lax.fori_loop(*every, lambda _, w: further(w, context.learns & goes_on(w)), walk).tables
-        return lax.while_loop(goes_on, lambda w: further(w, context.learns), walk).tables
+        return lax.while_loop(lambda walk: context.any_run(context.learns & goes_on(walk)), further, walk).tables
 
     def _one_moved(self, walk: _Walk, pair: Array, newest: Array, change: Array, context: Context) -> TraceTables:
         """The tables after the pair that a walk has come to has moved."""

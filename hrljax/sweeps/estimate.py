@@ -104,7 +104,7 @@ def estimate(
     )
     length, chunks = request.chunks(cores, chunk_size, portable=store or workers is not None)
     is_vmapped, num_runs = request.mapping == "vmap", request.grid.num_runs
-    at_once = min(workers or (1 if is_vmapped else cores or batch.usable_cores()), len(chunks))
+    at_once = min(workers, len(chunks)) if workers else batch.most_at_once(request.mapping, cores, len(chunks))
     measured = _Measured(request, length)
     seconds_per_chunk = measured.chunk_seconds(request.job, length)
     tables = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(learned_shapes(env, learner)))

@@ -128,7 +128,8 @@ class SweepRequest:
         if portable:
             length = batch.portable_chunk_length(num_runs, seeds, self.mapping, chunk_size)
             return length, batch.chunks_of(num_runs, length, within=seeds)
-        length = batch.chunk_length(num_runs, cores or batch.usable_cores(), self.mapping, chunk_size)
+        at_once = batch.most_at_once(self.mapping, cores, num_runs)
+        length = batch.chunk_length(num_runs, at_once, self.mapping, chunk_size)
         return length, batch.chunks_of(num_runs, length)
 
     def schema(self, length: int) -> Schema:

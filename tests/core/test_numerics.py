@@ -107,6 +107,24 @@ def test_rows_are_read_and_replaced_in_place(start: int, length: int):
     np.testing.assert_array_equal(put_row(jnp.asarray(table), jnp.int32(start), jnp.asarray(row)), expected)
 
 
+BATCHED = [(True, True), (True, False), (False, True)]
+
+
+@pytest.mark.parametrize(("tables", "starts"), BATCHED)
+def test_rows_of_many_tables_are_those_of_each(tables: bool, starts: bool):
+    """Beyond the end the last row is read, and replaced."""
+    table = np.random.default_rng(0).normal(size=(5, 9)).astype(np.float32)
+    start, row = np.array([0, 3, 7, 6, 2**31 - 1], np.int32), np.arange(15, dtype=np.float32).reshape(5, 3)
+    arguments, axes = (table if tables else table[1], start if starts else start[1]), (0 if tables else None, 0)
+    axes = (axes[0], 0 if starts else None)
+    read = jax.jit(jax.vmap(lambda t, s: take_row(t, s, 3), axes))(*arguments)
+    written = jax.jit(jax.vmap(put_row, (*axes, 0)))(*arguments, row)
+    for run in range(5):
+        one, first = table[run if tables else 1], min(start[run if starts else 1], 6)
+        np.testing.assert_array_equal(read[run], one[first : first + 3])
+        np.testing.assert_array_equal(written[run], np.concatenate([one[:first], row[run], one[first + 3 :]]))
+
+
 @pytest.mark.parametrize("under_jit", [False, True])
 def test_a_stage_changes_no_result(under_jit: bool):
     def function(a: jax.Array, b: jax.Array) -> dict[str, jax.Array]:

@@ -73,10 +73,7 @@ class Root(Settings, ABC, Generic[Prepared, Tables, Memory, Asked]):
         """
 
     def plan(self, prepared: Prepared, tables: Tables, context: Context) -> Tables:
-        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`.
-
-        Leaves them alone where `context` does not learn.
-        """
+        """Plans between two episodes, before every `planning_interval`-th one: the new `tables`."""
         return tables
 
 

@@ -131,8 +131,6 @@ class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables, Memory]):
             return sweep(points, model, until_end, values, self._unknown(), context.zero)
 
         values = lax.fori_loop(0, self.sweeps, again, tables.values.reshape(points.num_x, points.num_y)).ravel()
-        if context.vmapped:
-            values = lax.select(jnp.broadcast_to(context.learns, values.shape), values, tables.values)
         return tables._replace(values=values)
 
     def _decided(
