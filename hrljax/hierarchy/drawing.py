@@ -11,6 +11,7 @@ from matplotlib.patches import FancyArrowPatch, Patch
 from matplotlib.path import Path
 
 from hrljax.core import checks
+from hrljax.core.figures import ShownFigure, new_axes
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.leaf_cover import TotalLeafCover
 
@@ -51,7 +52,7 @@ def draw(hierarchy: Hierarchy, added: Added | None = None, *, title: str = "", a
     checks.instance("hierarchy", hierarchy, Hierarchy, _HIERARCHY)
     layers = _layers(hierarchy)
     if ax is None:
-        ax = Figure(figsize=figure_size(hierarchy), layout="constrained").subplots()
+        ax = new_axes(*figure_size(hierarchy))
     cover, new = hierarchy.leaf_cover(), added or {}
     place = {
         name: ((slot + 0.5) / len(layer), -depth)
@@ -99,7 +100,7 @@ def draw_completion(before: Hierarchy, total: TotalLeafCover) -> Figure:
     checks.instance("before", before, Hierarchy, _HIERARCHY)
     checks.instance("total", total, TotalLeafCover, "what hrljax.total_leaf_cover returned")
     width, height = figure_size(total.hierarchy)
-    figure = Figure(figsize=(width, 2 * height), layout="constrained")
+    figure = ShownFigure(figsize=(width, 2 * height), layout="constrained")
     upper, lower = figure.subplots(2)
     draw(before, title="As given", ax=upper)
     draw(total.hierarchy, total.added, title="With a total leaf cover", ax=lower)

@@ -1,5 +1,7 @@
 """Gymnasium environments with a transition table as environments of this library."""
 
+import sys
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -14,7 +16,11 @@ _DEFAULT_MAX_STEPS = 1000
 
 
 def from_table(
-    env: gymnasium.Env[Any, Any] | str, *, initial: np.ndarray | None = None, max_steps: int | None = None
+    env: gymnasium.Env[Any, Any] | str,
+    *,
+    initial: np.ndarray | None = None,
+    max_steps: int | None = None,
+    action_names: Sequence[str] = (),
 ) -> TableEnvironment:
     """Makes an environment with discrete spaces and a table ``P`` one that can be solved and learned in.
 
@@ -25,6 +31,8 @@ def from_table(
         env: the environment or its id; wrappers are looked through.
         initial: ``[S]`` probabilities of the first state; ``env.unwrapped.initial_state_distrib`` if None.
         max_steps: default limit of steps; that of the environment's spec if None, or 1000 without one.
+        action_names: one for each action; if empty, the environment's own (``get_action_meanings``, or constants of
+            its module such as FrozenLake's ``LEFT``), or else their numbers.
 
     Raises:
         TypeError: the spaces are not discrete from 0 on, there is no table, or `initial` is needed.
@@ -47,7 +55,24 @@ def from_table(
         limit = None if env.spec is None else env.spec.max_episode_steps
         max_steps = _DEFAULT_MAX_STEPS if limit is None else limit
     model = _model(name, source.P, sizes[0], sizes[1])
-    return TableEnvironment(Table(model, np.asarray(initial)), name=name, max_steps=max_steps)
+    names = tuple(action_names) or _names_of_actions(source, sizes[1])
+    return TableEnvironment(Table(model, np.asarray(initial)), name=name, max_steps=max_steps, action_names=names)
+
+
+def _names_of_actions(source: Any, count: int) -> tuple[str, ...]:
+    """Names that an environment gives its actions; none if it does not.
+
+    Gymnasium's have a method for them, or constants in their module, such as ``LEFT = 0``.
+    """
+    if hasattr(source, "get_action_meanings"):
+        return tuple(map(str, source.get_action_meanings()))
+    constants = [
+        (name.lower(), value)
+        for name, value in vars(sys.modules[type(source).__module__]).items()
+        if name.isupper() and type(value) is int
+    ]
+    named = [[name for name, value in constants if value == action] for action in range(count)]
+    return tuple(name for (name,) in named) if all(len(names) == 1 for names in named) else ()
 
 
 def _size(name: str, field: str, space: object) -> int:

@@ -29,7 +29,8 @@ def learning_curves(
         curves: a dataset of `hrljax.sweep` or one of its variables, such as ``dataset["return"]``; or
             several by name. Every combination of swept hyper-parameters becomes a curve.
         variable: what to draw of a dataset.
-        window: episodes of a moving average; none if None.
+        window: episodes of a moving average; none if None. A curve begins where its
+            first window is whole, or in the middle of the run if that comes first.
         statistic: ``"mean"``, with Student's interval, or one of `stats.bootstrap_interval`.
         references: horizontal lines by name.
         ax: where to draw; a new figure if None.
@@ -50,7 +51,9 @@ def learning_curves(
     lines = style.lines()
     for name, values in drawn.items():
         along = _along(values)
-        values = values if window is None else stats.smoothed(values, window)
+        if window is not None:
+            begun = values[along] >= min(window, int(values[along][-1]) / 2)
+            values = stats.smoothed(values, window).where(begun, drop=True)
         swept = tuple(dim for dim in values.dims if dim not in ("seed", along))
         for setting in itertools.product(*(values[dim].values for dim in swept)):
             curve = values.sel(dict(zip(swept, setting, strict=True)))

@@ -33,7 +33,7 @@ def policy(env: Dynamics[Any, Any], policy: ArrayLike, ax: Axes | None = None, *
 
     Args:
         env: as of `state`; its `renderer` has a function ``draw_policy``.
-        policy: ``[S]`` actions by number, such as ``value_iteration(env.model()).policy``.
+        policy: ``[S]`` actions by number, -1 for none, such as ``value_iteration(env.model()).policy``.
         ax: where to draw; a new figure if None.
         rest: the rest of the state, if a cell is not all of it: `picked`, `road` and `damaged` of a Bus (0 each by
             default), `passenger` and `destination` of a Taxi.

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from hrljax import stats
 from hrljax.core import checks
+from hrljax.core.figures import new_axes
 from hrljax.stats import Statistic
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
@@ -26,7 +26,7 @@ _MARKERS = "osD^vPX*"
 def axes(ax: Axes | None, width: float = 8, height: float = 5) -> Axes:
     """The axes, or new ones in a figure of their own."""
     if ax is None:
-        return Figure(figsize=(width, height), layout="constrained").subplots()
+        return new_axes(width, height)
     return checks.instance("ax", ax, Axes, "Matplotlib's axes or None")
 
 

@@ -19,6 +19,10 @@ class Model(NamedTuple):
     reward: np.ndarray  # [S, A, K] float64
     terminated: np.ndarray  # [S, A, K] bool: the episode ends, the next state has no value
 
+    def __repr__(self) -> str:
+        states, actions, outcomes = self.next_state.shape
+        return f"Model({states} states, {actions} actions, {outcomes} outcomes of each at most)"
+
     @property
     def num_states(self) -> int:
         return self.next_state.shape[0]

@@ -62,6 +62,9 @@ class Learned:
                 f"got {described(self.tables)}"
             )
 
+    def __repr__(self) -> str:
+        return f"Learned({self.learner.name} on {self.env.name}, {self.episodes} episodes, {self.steps} steps)"
+
     @classmethod
     def of(
         cls,

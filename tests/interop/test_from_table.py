@@ -198,3 +198,16 @@ def test_bad_tables_are_refused():
         TableEnvironment(Table(model, np.array([1.0, 0.0])), action_names="a")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="action_names must have 1 names"):
         TableEnvironment(Table(model, np.array([1.0, 0.0])), action_names=("a", "b"))
+
+
+def test_actions_have_the_names_that_gymnasium_gives_them():
+    assert from_table("FrozenLake-v1").action_names == ("left", "down", "right", "up")
+    assert from_table("FrozenLake-v1", action_names="wsen").action_names == ("w", "s", "e", "n")
+    with pytest.raises(ValueError, match="action_names must have 4 names"):
+        from_table("FrozenLake-v1", action_names=["left"])
+
+
+@with_cliff
+def test_constants_of_an_environment_are_names_in_the_order_of_its_actions():
+    assert from_table("CliffWalking-v1").action_names == ("up", "right", "down", "left")
+    assert from_table(TABLES["taxi"][0]).action_names == tuple("012345")  # Gymnasium's Taxi names none

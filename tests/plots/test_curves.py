@@ -1,5 +1,6 @@
 """What the pictures of learning curves show."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from hrljax.plots import COLOURS, learning_curves
 from hrljax.stats import mean_interval, smoothed
@@ -55,7 +57,25 @@ def test_labels_count_the_finished_runs():
 def test_a_window_smooths_the_curve():
     data = curve()
     (line,) = learning_curves(data, window=20).lines
-    np.testing.assert_allclose(line.get_ydata(), smoothed(data["return"], 20).mean("seed"))
+    whole = smoothed(data["return"], 20).mean("seed").isel(episode=slice(1, None))
+    np.testing.assert_allclose(line.get_ydata(), whole)
+    np.testing.assert_array_equal(line.get_xdata(), EPISODES[1:])
+
+
+def test_a_curve_begins_where_its_first_window_is_whole():
+    """Averages over what there is of a window would bend where it becomes whole: then bad first episodes leave it."""
+    returns = xr.DataArray([[-100.0, *[-10.0] * 39]], dims=("seed", "episode"), coords={"episode": np.arange(1, 41)})
+    (line,) = learning_curves(returns.rename("return"), window=20).lines
+    np.testing.assert_array_equal(line.get_xdata(), np.arange(20, 41))
+    (longer,) = learning_curves(returns.rename("return"), window=100).lines
+    np.testing.assert_array_equal(longer.get_xdata(), np.arange(20, 41))
+
+
+def test_axes_and_their_figure_show_themselves_in_a_notebook():
+    """IPython asks the last expression of a cell for `_repr_png_`."""
+    ax = learning_curves(curve())
+    for shown in (ax, ax.figure):
+        assert imread(BytesIO(shown._repr_png_())).std() > 0.05
 
 
 def test_greedy_returns_are_curves_over_checkpoints():

@@ -23,6 +23,12 @@ def test_a_policy_is_drawn_as_its_moves():
     np.testing.assert_array_equal(drawn.V > 0.1, [False, False, True, False, False])
 
 
+def test_where_a_policy_has_no_action_nothing_is_drawn():
+    env = hrl.make("Gridworld", map=CORNER)
+    ax = hrl.plots.policy(env, [1, -1, -1, -1, 1, -1])
+    np.testing.assert_array_equal(arrows(ax).XY, [[0, 0], [1, 1]])
+
+
 def test_values_are_written_into_their_cells():
     env = hrl.make("Gridworld", map=CORNER)
     value = hrl.solvers.value_iteration(env.model()).value

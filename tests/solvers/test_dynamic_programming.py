@@ -342,3 +342,7 @@ def test_merging_outcomes_changes_no_backup_and_leaves_them_distinct(seed: int):
     for pair in np.ndindex(shape[:2]):
         used = kinds[pair][model.probability[pair] > 0]
         assert len(np.unique(used, axis=0)) == len(used)
+
+
+def test_a_model_says_how_large_it_is():
+    assert repr(Maze().model()) == "Model(42 states, 3 actions, 1 outcomes of each at most)"

@@ -94,6 +94,11 @@ def test_a_policy_is_worth_what_its_learner_says(name: str):
     assert expected_return(env, policy, params) == pytest.approx(float(said), abs=1e-3)
 
 
+def test_it_says_what_it_is():
+    learned = Learned(MAZE, hrljax.QLearning(), np.zeros(126, np.float32), episodes=3, steps=40)
+    assert repr(learned) == "Learned(Q-learning on Maze, 3 episodes, 40 steps)"
+
+
 def test_a_flat_policy_takes_the_best_action():
     env, learner = LEARNERS["QLearning"]
     tables = some_tables(env, learner)

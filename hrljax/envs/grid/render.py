@@ -13,12 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, to_rgb
-from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import ArrayLike
 
-from hrljax.core import checks
+from hrljax.core import checks, figures
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.grid.ascii_map import MOVES, text_lines
 
@@ -56,10 +55,13 @@ def checked_integer(argument: str, value: ArrayLike, largest: int, meaning: str)
 
 
 def policy_at(env: AnyTabularEnvironment, policy: ArrayLike, states: ArrayLike) -> np.ndarray:
-    """The actions of an ``[S]`` policy in states with these numbers, after checking it."""
+    """The actions of an ``[S]`` policy in states with these numbers, after checking it; -1 is none."""
     actions = _checked_table(env, "policy", policy, "iu", "integers")[np.asarray(states)]
-    if not np.isin(actions, range(env.num_actions)).all():
-        raise ValueError(f"policy must have actions 0 to {env.num_actions - 1}, got {actions.min()} to {actions.max()}")
+    most = env.num_actions - 1
+    if not np.isin(actions, range(-1, env.num_actions)).all():
+        raise ValueError(
+            f"policy must have actions 0 to {most}, or -1 for none, got {actions.min()} to {actions.max()}"
+        )
     return actions
 
 
@@ -83,7 +85,7 @@ def new_axes(ground: Ground, beside: float = 0.0) -> Axes:
     full_width, full_height = max(width, 4.0) + 0.2 + beside, max(height, 1.5) + 0.45
     left, bottom = (full_width - beside - width) / 2, (full_height - 0.25 - height) / 2
     extent = (left / full_width, bottom / full_height, width / full_width, height / full_height)
-    return Figure(figsize=(full_width, full_height)).add_axes(extent)
+    return figures.new_axes(full_width, full_height, extent)
 
 
 def draw_ground(ground: Ground, ax: Axes | None, title: str = "", values: np.ndarray | None = None) -> AxesImage:
@@ -117,7 +119,8 @@ def draw_ground(ground: Ground, ax: Axes | None, title: str = "", values: np.nda
 def draw_actions(
     ax: Axes, ground: Ground, actions: np.ndarray, shown: np.ndarray, signs: Sequence[tuple[int, int] | str]
 ) -> None:
-    """Draws ``[cells]`` actions where `shown` (bool), each by its sign: a (row, column) step or a text."""
+    """Draws ``[cells]`` actions where `shown` (bool) and not -1, each by its sign: a (row, column) step or a text."""
+    shown = shown & (actions >= 0)
     steps = np.array([(0, 0) if isinstance(sign, str) else sign for sign in signs])[actions]
     is_step = shown & steps.any(-1)
     down, right = 0.56 * steps[is_step].T

@@ -148,7 +148,10 @@ TAXI_POLICY, TAXI_VALUE = np.zeros(500, np.int32), np.zeros(500)
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: cell_render.draw_policy(HOUSE, np.full(9, 4)), "policy must have actions 0 to 3, got 4 to 4"),
+        (
+            lambda: cell_render.draw_policy(HOUSE, np.full(9, 4)),
+            "policy must have actions 0 to 3, or -1 for none, got 4 to 4",
+        ),
         (lambda: cell_render.draw_policy(HOUSE, np.zeros(9)), r"policy must be integers of shape \(9,\), got float64"),
         (lambda: cell_render.draw_value(Maze(), np.zeros(9)), r"value must be real numbers of shape \(42,\)"),
         (lambda: cell_render.text(HOUSE, at(9)), r"state.cell must be an integer from 0 to 8 \(row .*\), got 9"),
