@@ -12,7 +12,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.core import Tracer
 
 from hrljax.core import checks
 from hrljax.core.numerics import put_row, take
@@ -28,11 +27,10 @@ from hrljax.trees.growth import (
     grow,
     quantise,
 )
-from hrljax.trees.inputs import MAX_BINS, MAX_CATEGORIES, MAX_INPUTS, bin_inputs, make_cells
+from hrljax.trees.inputs import MAX_BINS, MAX_CATEGORIES, bin_inputs, make_cells
+from hrljax.trees.rows import MAX_ROWS, check_categories, check_rows
 
 MAX_DEPTH = 64
-MAX_ROWS = 1 << 20
-"""More would leave too few bits for a target (`hrljax.trees.growth.quantise`)."""
 
 
 class Trees(NamedTuple):
@@ -62,11 +60,7 @@ class RegressionTree:
     num_bins: int = 128
 
     def __post_init__(self) -> None:
-        checks.instance("categories", self.categories, tuple, "a tuple of integers")
-        if not 1 <= len(self.categories) <= MAX_INPUTS:
-            raise ValueError(f"categories must describe 1 to {MAX_INPUTS} inputs, got {len(self.categories)}")
-        for i, size in enumerate(self.categories):
-            checks.integer(f"categories[{i}]", size, 0, MAX_CATEGORIES)
+        check_categories(self.categories, MAX_CATEGORIES)
         checks.integer("max_depth", self.max_depth, 0, MAX_DEPTH)
         checks.integer("min_leaf", self.min_leaf, 1, MAX_ROWS)
         checks.integer("num_bins", self.num_bins, 2, MAX_BINS)
@@ -122,7 +116,7 @@ class RegressionTree:
         """
         inputs, targets, group = map(jnp.asarray, (inputs, targets, group))
         given = jnp.int32(len(inputs)) if count is None else jnp.asarray(count)
-        self._check(inputs, targets, group, num_groups, given)
+        check_rows(self.categories, inputs, targets, group, num_groups, given)
         num_rows, num_targets = targets.shape
         used = given.astype(jnp.int32)
         valid = jnp.arange(num_rows, dtype=jnp.int32) < used
@@ -144,40 +138,6 @@ class RegressionTree:
         arrays = lax.fori_loop(jnp.int32(0), jnp.int32(num_groups * num_targets), one, arrays)
         shape = (num_groups, num_targets, capacity)
         return Trees(arrays.words.reshape(shape), arrays.numbers.reshape(shape))
-
-    def _check(self, inputs: Array, targets: Array, group: Array, num_groups: int, count: Array) -> None:
-        num_rows = len(inputs) if inputs.ndim else 0
-        if inputs.shape != (num_rows, self.num_inputs) or not 1 <= num_rows <= MAX_ROWS:
-            raise ValueError(
-                f"inputs must have shape [N, {self.num_inputs}] with 1 to {MAX_ROWS} rows, got {list(inputs.shape)}"
-            )
-        if targets.ndim != 2 or len(targets) != num_rows or not targets.shape[1]:
-            raise ValueError(f"targets must have a value for each of {num_rows} rows, got shape {list(targets.shape)}")
-        for name, values in (("inputs", inputs), ("targets", targets)):
-            if values.dtype != jnp.float32:
-                raise ValueError(f"{name} must be float32, got {values.dtype}")
-        if group.shape != (num_rows,) or group.dtype != jnp.int32:
-            raise ValueError(f"group must be int32 of shape [{num_rows}], got {group.dtype} of {list(group.shape)}")
-        checks.integer("num_groups", num_groups, 1, MAX_ROWS)
-        if count.shape != () or not jnp.issubdtype(count.dtype, jnp.integer):
-            raise ValueError(f"count must be one integer, got {count.dtype} of shape {list(count.shape)}")
-        if any(isinstance(values, Tracer) for values in (inputs, targets, group, count)):
-            return
-        if not 0 <= int(count) <= num_rows:
-            raise ValueError(f"count must be in 0..{num_rows}, got {int(count)}")
-        used = slice(0, int(count))
-        self._check_values(np.asarray(inputs)[used], np.asarray(targets)[used], np.asarray(group)[used], num_groups)
-
-    def _check_values(self, inputs: np.ndarray, targets: np.ndarray, group: np.ndarray, num_groups: int) -> None:
-        for name, values in (("inputs", inputs), ("targets", targets)):
-            if not np.isfinite(values).all():
-                raise ValueError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
-        for i, size in enumerate(self.categories):
-            wrong = inputs[:, i][~np.isin(inputs[:, i], np.arange(size))] if size else inputs[:0, i]
-            if len(wrong):
-                raise ValueError(f"inputs[:, {i}] must be whole numbers in 0..{size - 1}, got {wrong[0]:g}")
-        if len(group) and not (group.min() >= 0 and group.max() < num_groups):
-            raise ValueError(f"group must be in 0..{num_groups - 1}, got {group.min()}..{group.max()}")
 
 
 def predict(trees: Trees, inputs: Array, *index: Array | int) -> Array:
