@@ -21,6 +21,7 @@ from hrljax.envs.registry import make, register, registered  # noqa: E402
 from hrljax.hierarchy.definition import Abstraction, Hierarchy, Subtask  # noqa: E402
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover  # noqa: E402
 from hrljax.hierarchy.tables import tabulate  # noqa: E402
+from hrljax.interop.rollout import Rollout, rollout  # noqa: E402
 from hrljax.learners.dyna import DynaQ  # noqa: E402
 from hrljax.learners.fading import Fading  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
@@ -72,6 +73,7 @@ __all__ = [
     "RMax",
     "RandomRoot",
     "RelationalHORDQ",
+    "Rollout",
     "Run",
     "SARSALambda",
     "SearchRoot",
@@ -90,6 +92,7 @@ __all__ = [
     "processes",
     "register",
     "registered",
+    "rollout",
     "save",
     "solvers",
     "stats",

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
+from hrljax.envs.film import save_gif
 from hrljax.envs.mario import play
 from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.env import Mario, MarioParams
@@ -86,7 +87,7 @@ def main(options: Options) -> int:
         }
         program.write_summary(options.out, summary)
         for frames in program.until_interrupted(_frames(env, shown, options.tile_pixels)):
-            picture.save_gif(frames, options.out / "game.gif", 24 / options.ticks_per_frame)
+            save_gif(frames, options.out / "game.gif", 24 / options.ticks_per_frame)
         for name, value in summary.items():
             print(f"{name:>10}  {f'{value:.2f}' if isinstance(value, float) else value}")
     return program.ended(options.out)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from hrljax import plots, stats
 from hrljax.core.numerics import opaque_zero
 from hrljax.engine.train import train
+from hrljax.envs.film import save_gif
 from hrljax.envs.mario.competition import Episode
 from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.env import Mario
@@ -214,7 +215,7 @@ def _place(steps: list[Step]) -> float:
 def film(agent: Agent, steps: list[Step], path: str | Path) -> None:
     """A GIF of a game, one picture every second tick."""
     worlds = [world for step in steps for world in step.worlds][::2]
-    picture.save_gif((picture.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)
+    save_gif((picture.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)
 
 
 def search_picture(agent: Agent, episode: Episode) -> Figure:
