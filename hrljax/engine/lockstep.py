@@ -44,7 +44,7 @@ class Lockstep(Trainer):
     def _bins(self, bin_size: int, start: Progress, numbers: Array) -> tuple[Progress, OfBin]:
         count = len(numbers)
         first = numbers[0] if count else jnp.int32(0)
-        nothing: OfBin = (self._no_sums().value, jnp.float32(0), jnp.int32(0))
+        before_any: OfBin = (self._no_sums().value, jnp.float32(0), jnp.int32(0))
 
         def turn(now: _Bins) -> _Bins:
             goes_on = now.number < count
@@ -60,10 +60,10 @@ class Lockstep(Trainer):
                 jax.tree.map(lambda all, one: put_row(all, now.number * one.size, one.ravel()), now.records, row),
             )
 
-        records = jax.tree.map(lambda one: jnp.zeros((count + 1) * one.size, one.dtype), nothing)
+        records = jax.tree.map(lambda one: jnp.zeros((count + 1) * one.size, one.dtype), before_any)
         begin = _Bins(start, jnp.int32(0), start.steps, records)
         last = lax.while_loop(lambda now: any_run(now.number < count), turn, begin)
-        shaped = jax.tree.map(lambda all, one: all.reshape(-1, *one.shape)[:count], last.records, nothing)
+        shaped = jax.tree.map(lambda all, one: all.reshape(-1, *one.shape)[:count], last.records, before_any)
         return last.progress, shaped
 
     def _block(self, progress: Progress, end: Array) -> Progress:
