@@ -15,8 +15,17 @@ class Seen(NamedTuple):
     """What a pseudo-reward that fades goes by, over the steps that a learner has learned from."""
 
     visits: Array  # [places] float32
-    mean_reward: Array  # float32 scalar: mean |reward| of a step
-    steps: Array  # float32 scalar; stands still at 2**24, from where the mean forgets
+    of_steps: Array  # [2] float32: `mean_reward` and `steps`; a native loop pays for every array
+
+    @property
+    def mean_reward(self) -> Array:
+        """Mean |reward| of a step, float32 scalar."""
+        return self.of_steps[0]
+
+    @property
+    def steps(self) -> Array:
+        """How many, float32 scalar; stands still at 2**24, from where the mean forgets."""
+        return self.of_steps[1]
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,7 @@ class Fading(Settings):
     after: Hyperparameter = hyperparameter(10.0, 0, low_open=True)
 
     def nothing_seen(self, num_places: int) -> Seen:
-        return Seen(jnp.zeros(num_places, jnp.float32), jnp.float32(0), jnp.float32(0))
+        return Seen(jnp.zeros(num_places, jnp.float32), jnp.zeros(2, jnp.float32))
 
     def after_seeing(self, seen: Seen, place: Array, reward: Array, context: Context) -> Seen:
         """After a step in a place."""
@@ -49,7 +58,7 @@ class Fading(Settings):
             jnp.asarray(context.learns), off / lax.max(steps, jnp.float32(1)), once * 0
         )
         visits = put_row(seen.visits, place, take_row(seen.visits, place, 1) + once)
-        return Seen(visits, mean, steps)
+        return Seen(visits, jnp.stack([mean, steps]))
 
     def at(self, seen: Seen, visits: Array, context: Context) -> Array:
         """kappa (float32 scalar) where there were so many visits."""
