@@ -47,7 +47,7 @@ _DISCOUNT = 0.99
 _ACCURACY = 1e-3
 _MOST_DENSE_BYTES = 2**26
 _MOST_STATES_OF_SLOW_PEERS = 20_000
-_SIDES = {"gridworld 10^4": 104, "gridworld 10^5": 330}
+_SIDES = {"gridworld 10^4": 100, "gridworld 10^5": 330}
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def rooms(side: int) -> str:
     row, column = np.indices((side, side))
     is_wall = ((row % 20 == 19) & (column % 20 != 10)) | ((column % 20 == 19) & (row % 20 != 5))
     cells = np.where(is_wall, "#", ".")
-    cells[1, 1], cells[side - 3, side - 3] = "S", "G"
+    cells[1, 1], cells[side - 2, side - 2] = "S", "G"
     return "\n".join("".join(line) for line in cells)
 
 

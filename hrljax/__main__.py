@@ -26,6 +26,7 @@ def report() -> str:
         **{package: version(package) for package in _PACKAGES},
         "devices": f"{', '.join(map(str, jax.devices()))}; {batch.usable_cores()} cores",
         "runs": f"{_MAPPED[batch.resolve_mapping('auto')]} (mapping='auto')",
+        "loops": batch.cost_of_loops(),
         "environments": ", ".join(hrl.registered()),
         "learners": ", ".join(learners),
     }

@@ -16,6 +16,7 @@ def test_it_tells_versions_devices_mapping_environments_and_learners(capsys: pyt
     assert rows["jax"] == jax.__version__
     assert str(jax.devices()[0]) in rows["devices"]
     assert "native loops" in rows["runs"]
+    assert "a loop's turn that writes one number takes" in rows["loops"]
     assert rows["environments"].split(", ") == list(hrl.registered())
     assert {"QLearning", "SharedHORDQ", "RelationalHORDQ"} <= set(rows["learners"].split(", "))
     assert "RandomRoot" not in rows["learners"]

@@ -48,6 +48,11 @@ def resolve_mapping(mapping: Mapping) -> Literal["native", "vmap"]:
     return "native" if compiler.native_loops_available() else "vmap"
 
 
+def cost_of_loops() -> str:
+    """In words, what a turn of a native loop was measured to take."""
+    return str(compiler.write_cost()) if compiler.native_loops_available() else "not native"
+
+
 def usable_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

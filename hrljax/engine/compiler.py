@@ -5,11 +5,16 @@ everything works through `vmap`, only slower.
 """
 
 import os
+import time
 import warnings
+from collections.abc import Callable
 from functools import cache
+from math import inf
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 _FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
@@ -30,8 +35,16 @@ NESTED_OPTIONS: dict[str, str | bool | int] = {
 
 With the region analysis of copies, XLA (jaxlib 0.10.2) drops copies that such loops need: an outer
 loop's counter is overwritten while an inner loop still reads it, and of two writes to one array the
-second sees the first in values that were read before.
+second sees the first in values that were read before. ``tests/engine/test_compiler.py`` shows the day on
+which that is mended.
 """
+
+_TURNS = 256
+_TABLE_SIZES = 2**10, 2**18
+_MOST_GROWTH = 200
+"""By how much more a turn may take with the larger table. A call has it copied once: 3 on a quiet machine, 40 on a
+busy one; that jaxlib 0.11.1 copied it in every turn made for 1,000."""
+_TRIES = 8
 
 
 def request_native_loops() -> None:
@@ -56,7 +69,77 @@ def native_loops_available() -> bool:
             RuntimeWarning,
             stacklevel=3,
         )
+    elif write_cost().grows:
+        warnings.warn(f"runs will be slow: {write_cost()}", RuntimeWarning, stacklevel=3)
     return not problem
+
+
+class WriteCost(NamedTuple):
+    """What a turn of a loop takes that writes one number into a table, in seconds."""
+
+    small: float  # with a table of 4 KiB
+    large: float  # with a table of 1 MiB
+
+    @property
+    def grows(self) -> bool:
+        """Whether it takes longer the larger the table is, as if the table were copied in every turn."""
+        return self.large > _MOST_GROWTH * self.small
+
+    def __str__(self) -> str:
+        small, large = (f"{1e9 * seconds:.0f} ns" for seconds in self)
+        what = f"a loop's turn that writes one number takes {small} with a table of 4 KiB and {large} with one of 1 MiB"
+        if not self.grows:
+            return what
+        return f"{what}, so this version of jaxlib copies whole tables (as in jax-ml/jax#40101); try another one"
+
+
+@cache
+def write_cost() -> WriteCost:
+    """Times a tiny native loop with a small and with a large table, once a process.
+
+    Some versions of XLA copy the table in every turn, with the same optimised program: only time tells.
+    """
+    small, large = map(_writing, _TABLE_SIZES)
+    return _timed(small, large)
+
+
+def _writing(size: int) -> Callable[[], object]:
+    """A compiled loop that writes into a table of some float32 numbers, a power of two of them."""
+    shift = np.uint32(33 - size.bit_length())
+
+    def loop(table: jax.Array) -> jax.Array:
+        def turn(i: jax.Array, table: jax.Array) -> jax.Array:
+            place = (i * np.uint32(0x9E3779B9)) >> shift
+            return lax.dynamic_update_slice(table, lax.dynamic_slice(table, (place,), (1,)) + np.float32(1), (place,))
+
+        return lax.fori_loop(np.uint32(0), np.uint32(_TURNS), turn, table)
+
+    table = np.zeros(size, np.float32)
+    # The copies that are looked for are XLA's: LLVM need not do its best, which takes a third of the time.
+    options = {**OPTIONS, "xla_backend_optimization_level": 0}
+    with jax.default_device(jax.devices("cpu")[0]):
+        compiled = jax.jit(loop, compiler_options=options).lower(table).compile()
+    return lambda: compiled(table).block_until_ready()
+
+
+def _timed(
+    small: Callable[[], object], large: Callable[[], object], clock: Callable[[], float] = time.perf_counter
+) -> WriteCost:
+    """The least times of a few tries: other programs only make them longer."""
+
+    def turn(run: Callable[[], object]) -> float:
+        began = clock()
+        run()
+        return (clock() - began) / _TURNS
+
+    cost = WriteCost(inf, inf)
+    for run in (small, large):
+        run()  # the first call has more to do
+    for number in range(_TRIES):
+        cost = WriteCost(min(cost.small, turn(small)), min(cost.large, turn(large)))
+        if number >= 2 and not cost.grows:
+            break
+    return cost
 
 
 def nested_options() -> dict[str, str | bool | int] | None:
