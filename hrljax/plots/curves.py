@@ -23,11 +23,12 @@ def learning_curves(
     references: Mapping[str, float] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """A statistic over seeds against episodes, with bands of 95 % intervals.
+    """A statistic over seeds against episodes or steps, with bands of 95 % intervals.
 
     Args:
-        curves: a dataset of `hrljax.sweep` or one of its variables, such as ``dataset["return"]``; or
-            several by name. Every combination of swept hyper-parameters becomes a curve.
+        curves: a dataset of `hrljax.sweep` or one of its variables, such as ``dataset["return"]``, or what
+            `stats.against_steps` makes of it; or several by name. Every combination of swept
+            hyper-parameters becomes a curve.
         variable: what to draw of a dataset.
         window: episodes of a moving average; none if None. A curve begins where its
             first window is whole, or in the middle of the run if that comes first.
@@ -64,7 +65,8 @@ def learning_curves(
             ax.plot(middle[along], middle, **line, label=f"{described} ({style.finished(curve, along)})", lw=1.4)
             ax.fill_between(middle[along], low, high, color=line["color"], alpha=0.25, lw=0)
     style.references(ax, references)
-    ax.set_xlabel("episode")
+    is_by_steps = all(_along(values) == "steps" for values in drawn.values())
+    ax.set_xlabel("primitive steps" if is_by_steps else "episode")
     shown = style.label(next(iter(drawn.values())))
     ax.set_ylabel(shown if statistic == "mean" else f"{shown}, {style.readable(statistic)}")
     style.tidy(ax)
@@ -86,10 +88,12 @@ def _values(name: str, curves: Curves, variable: str) -> xr.DataArray:
     along = _along(curves)
     if along is None or "seed" not in curves.dims:
         present = ", ".join(map(str, curves.dims)) or "none"
-        raise ValueError(f"curves{where} must have the dimensions 'seed' and 'episode' or 'checkpoint', got {present}")
+        raise ValueError(
+            f"curves{where} must have the dimensions 'seed' and 'episode', 'checkpoint' or 'steps', got {present}"
+        )
     return curves
 
 
 def _along(values: xr.DataArray) -> str | None:
     """The dimension of time, None if there is none."""
-    return next((dim for dim in ("checkpoint", "episode") if dim in values.dims), None)
+    return next((dim for dim in ("checkpoint", "episode", "steps") if dim in values.dims), None)

@@ -5,7 +5,7 @@ From curves to one number a run (`curves`), from runs to numbers with intervals 
 """
 
 from hrljax.stats.comparisons import paired_differences, probability_of_improvement
-from hrljax.stats.curves import area_under_curve, episode_range, episodes_to_reach, smoothed
+from hrljax.stats.curves import against_steps, area_under_curve, episode_range, episodes_to_reach, smoothed
 from hrljax.stats.intervals import bootstrap_interval, estimate, interquartile_mean, mean, mean_interval
 from hrljax.stats.resampling import Method, Statistic
 from hrljax.stats.selection import best
@@ -13,6 +13,7 @@ from hrljax.stats.selection import best
 __all__ = [
     "Method",
     "Statistic",
+    "against_steps",
     "area_under_curve",
     "best",
     "bootstrap_interval",

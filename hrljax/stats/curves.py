@@ -123,6 +123,57 @@ def episodes_to_reach(
     )
 
 
+def against_steps(curves: xr.Dataset, variable: str = "return", num: int = 200) -> xr.DataArray:
+    """A curve of each run against its primitive steps instead of its episodes.
+
+    Runs whose episodes are short have more of them in as many steps; where steps are what costs, this is the fair
+    comparison. At a number of steps stands the mean per episode of the bin in which the run then was.
+
+    Args:
+        curves: a dataset of `hrljax.sweep`, with ``length`` over ``episode``.
+        variable: which of its variables over ``episode``.
+        num: places on the axis, at least 1.
+
+    Returns:
+        The values along ``steps`` in place of ``episode``: `num` equal parts of the steps that every finished run took.
+        Runs that were not finished are NaN.
+
+    Raises:
+        TypeError, ValueError: a bad argument, or no run is finished.
+    """
+    checks.instance("curves", curves, xr.Dataset, "a dataset of hrljax.sweep")
+    known = [str(name) for name, values in curves.data_vars.items() if "episode" in values.dims]
+    checks.choice("variable", variable, tuple(known))
+    if "length" not in known:
+        raise ValueError(f"curves must have the variable 'length' over episodes, it has {', '.join(known) or 'none'}")
+    checks.integer("num", num, 1)
+    values, length = curves[variable], curves["length"]
+    bins = xr.DataArray(np.diff(values["episode"].values, prepend=0), coords={"episode": values["episode"]})
+    ends = (length * bins).cumsum("episode", skipna=False)
+    total = float(ends.isel(episode=-1).min())
+    if not np.isfinite(total):
+        raise ValueError("curves must have a finished run, got none")
+    places = total * np.arange(1, num + 1) / num
+
+    def looked_up(of_run: np.ndarray, ends_of_run: np.ndarray) -> np.ndarray:
+        if np.isnan(ends_of_run).any():
+            return np.full(num, np.nan)
+        inside = np.searchsorted(ends_of_run, places)
+        return of_run[np.minimum(inside, len(of_run) - 1)]
+
+    along = xr.apply_ufunc(
+        looked_up,
+        values,
+        ends,
+        input_core_dims=[["episode"], ["episode"]],
+        output_core_dims=[["steps"]],
+        vectorize=True,
+        keep_attrs=True,
+    )
+    of_steps = xr.Variable("steps", places, {"long_name": "primitive steps", "units": "steps"})
+    return along.assign_coords(steps=of_steps).rename(variable).assign_attrs(values.attrs)
+
+
 def _episodes_in_bins(values: xr.DataArray) -> np.ndarray:
     """Episodes of each bin, relative to the first."""
     ends = values["episode"].values

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from hrljax.plots import COLOURS, learning_curves
-from hrljax.stats import mean_interval, smoothed
+from hrljax.stats import against_steps, mean_interval, smoothed
 from tests.curves import EPISODES, curve
 
 
@@ -100,3 +100,9 @@ def test_curves_are_drawn_where_the_caller_wants_and_can_be_saved(tmp_path: Path
     assert not left.lines
     learning_curves(curve()).figure.savefig(tmp_path / "curve.png")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_curves_against_steps_say_so():
+    ax = learning_curves(against_steps(curve(), num=12))
+    (line,) = ax.lines
+    assert (ax.get_xlabel(), len(line.get_xdata())) == ("primitive steps", 12)

@@ -8,7 +8,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrljax.stats import area_under_curve, episode_range, episodes_to_reach, smoothed
+from hrljax.stats import against_steps, area_under_curve, episode_range, episodes_to_reach, smoothed
 from tests.curves import EPISODES, curve
 
 
@@ -162,3 +162,40 @@ def test_a_moving_average_is_that_of_the_episodes_of_its_whole_bins(heights: lis
         bins = range(max(0, i + 1 - window // 5), i + 1)
         episodes = [heights[b] for b in bins for _ in range(sizes[b])]
         assert found == pytest.approx(np.mean(episodes))
+
+
+def test_against_steps_a_run_has_the_value_of_the_bin_that_it_is_in():
+    """By hand: bins of 2, 2 and 1 episodes; 10, 30 and 5 steps in the first run, 20, 20 and 20 in the second."""
+    curves = xr.Dataset(
+        {
+            "return": (("seed", "episode"), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+            "length": (("seed", "episode"), [[5.0, 15.0, 5.0], [10.0, 10.0, 20.0]]),
+        },
+        {"seed": [0, 1], "episode": [2, 4, 5]},
+    )
+    by_steps = against_steps(curves, num=9)
+    assert by_steps["steps"].values.tolist() == [5, 10, 15, 20, 25, 30, 35, 40, 45]
+    assert by_steps.sel(seed=0).values.tolist() == [1, 1, 2, 2, 2, 2, 2, 2, 3]
+    assert by_steps.sel(seed=1).values.tolist() == [4, 4, 4, 4, 5, 5, 5, 5, 6]
+    assert against_steps(curves, "length", num=1).values.ravel().tolist() == [5, 20]
+
+
+def test_against_steps_unfinished_runs_are_nan_and_do_not_cut_the_others_short():
+    data = curve(4, step_size=[0.1, 0.2])
+    unfinished = data.where((data["seed"] < 3) | (data["step_size"] < 0.15))
+    by_steps = against_steps(unfinished)
+    assert by_steps.dims == ("step_size", "seed", "steps")
+    assert by_steps.isnull().all("steps").values.tolist() == [[False] * 4, [False] * 3 + [True]]
+    assert float(by_steps["steps"][-1]) == pytest.approx(float(unfinished["length"].weighted(
+        xr.DataArray([10, 10, 10, 10, 5], dims="episode")).sum("episode", skipna=False).min()))  # fmt: skip
+
+
+def test_against_steps_refuses_what_has_no_lengths():
+    with pytest.raises(ValueError, match="curves must have the variable 'length'"):
+        against_steps(curve()[["return"]])
+    with pytest.raises(ValueError, match="curves must have a finished run"):
+        against_steps(curve() * np.nan)
+    with pytest.raises(ValueError, match="variable must be"):
+        against_steps(curve(), "steps")
+    with pytest.raises(TypeError, match="curves must be a dataset"):
+        against_steps(curve()["return"])
