@@ -5,8 +5,10 @@ Pictures go to the folders of the pages that show them. Learning curves are mean
 
 import sys
 from collections.abc import Callable
+from contextlib import chdir
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium
@@ -23,6 +25,15 @@ from hrljax.interop.gymnasium import from_table
 DOCS = Path(__file__).parent
 PICTURES: dict[str, Callable[[], Figure]] = dict(learner_pictures.PICTURES)
 """What draws each picture, by its place below docs/, without ".png"."""
+PAGES = {
+    "first_picture": "start",
+    "heat_map": "sweeps",
+    "corridor": "own_environment",
+    "step_sizes": "own_learner",
+    "guides/first_project": "guides/first_project",
+    "guides/drawing": "guides/drawing",
+}
+"""Pictures that an example of a page saves, and these pages."""
 
 
 def picture(place: str) -> Callable[[Callable[[], Figure]], Callable[[], Figure]]:
@@ -122,20 +133,40 @@ for name, env in (
     PICTURES[f"environments/{name}_hierarchy"] = lambda env=env: task_graph(env)
 
 
-def save(figure: Figure, path: Path) -> None:
+def drawn_by_page(page: str, name: str) -> bytes:
+    """What the examples of a page save under a name; they are run up to there."""
+    blocks = [part.split("```")[0] for part in (DOCS / f"{page}.md").read_text().split("```python\n")[1:]]
+    namespace: dict[str, Any] = {"__name__": "__main__"}
+    with TemporaryDirectory() as folder, chdir(folder):
+        for block in blocks:
+            exec(block, namespace)
+            if Path(name).exists():
+                return Path(name).read_bytes()
+    raise ValueError(f"{page}.md saves no {name}")
+
+
+def drawn(place: str) -> bytes:
+    """A picture as PNG."""
+    if place in PAGES:
+        return drawn_by_page(PAGES[place], f"{Path(place).name}.png")
+    png = BytesIO()
+    PICTURES[place]().savefig(png, dpi=100)
+    return png.getvalue()
+
+
+def save(png: bytes, path: Path) -> None:
     """Writes a PNG with a palette, which is a third of the size of one without."""
-    drawn = BytesIO()
-    figure.savefig(drawn, dpi=100)
     path.parent.mkdir(exist_ok=True)
-    Image.open(drawn).convert("RGB").quantize(128).save(path, optimize=True)
+    Image.open(BytesIO(png)).convert("RGB").quantize(128).save(path, optimize=True)
     print(f"{path.relative_to(DOCS)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
 
 
 def main(names: list[str]) -> None:
-    if unknown := set(names) - PICTURES.keys():
-        sys.exit(f"no picture {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
-    for place in names or PICTURES:
-        save(PICTURES[place](), DOCS / f"{place}.png")
+    known = [*PICTURES, *PAGES]
+    if unknown := set(names) - set(known):
+        sys.exit(f"no picture {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+    for place in names or known:
+        save(drawn(place), DOCS / f"{place}.png")
 
 
 if __name__ == "__main__":

@@ -113,8 +113,9 @@ def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 180
 
 
-def test_an_own_environment_takes_no_more_than_40_lines():
-    first, *_ = blocks(ROOT / "docs" / "own_environment.md", "python")
+@pytest.mark.parametrize("page", ["own_environment.md", "guides/first_project.md"])
+def test_an_own_environment_and_an_own_project_take_no_more_than_40_lines(page: str):
+    first, *_ = blocks(ROOT / "docs" / page, "python")
     assert len([line for line in first.splitlines() if line.strip()]) <= 40
 
 

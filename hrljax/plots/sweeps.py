@@ -20,7 +20,7 @@ _MOST_TICKS = 12
 
 
 def heat_map(
-    values: xr.DataArray,
+    values: xr.DataArray | xr.Dataset,
     x: str,
     y: str,
     *,
@@ -34,14 +34,16 @@ def heat_map(
 
     Args:
         values: one number a run, with the dimensions `x`, `y` and ``seed``, such as
-            ``stats.episode_range(curves["return"], 0, 1000)``. NaN (unfinished) and infinite
-            (a threshold that is never reached) statistics stay grey.
+            ``stats.episode_range(curves["return"], 0, 1000)``; or a dataset of `hrljax.sweep`, of which the mean
+            return of whole runs is taken. NaN (unfinished) and infinite (a threshold that is never reached)
+            statistics stay grey.
         x: the dimension to the right.
         y: the dimension upwards.
         statistic: of the seeds.
         limits: values of the darkest and the lightest colour; those of the statistic if None.
         best: which cell gets a frame.
-        title: what is shown; the statistic and the number of seeds follow.
+        title: what is shown; the statistic and the number of seeds follow. Of a dataset it is learner and environment
+            if empty.
         ax: where to draw; a new figure if None.
 
     Returns:
@@ -53,6 +55,9 @@ def heat_map(
     """
     if x == y:
         raise ValueError(f"x and y must differ, got {x!r} twice")
+    if isinstance(values, xr.Dataset):
+        title = title or f"{values.attrs['learner']} on {values.attrs['environment']}"
+        values = stats.episode_range(values["return"], 0, int(values["episode"][-1]))
     style.check_seeds(values, "values", x, y)
     checks.choice("best", best, ("greatest", "least", None))
     checks.choice("statistic", statistic, Statistic)

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+import hrljax as hrl
 from hrljax import stats
 from hrljax.plots import COLOURS, heat_map, intervals, learning_curves, sensitivity
 from tests.curves import curve
@@ -90,6 +91,15 @@ def test_a_heat_map_shows_the_statistic_of_every_cell():
     assert ax.get_title() == "HORDQ, mean (n=5)"
     _, bar = ax.figure.axes
     assert bar.get_ylabel() == "return (reward)"
+
+
+def test_a_heat_map_of_a_dataset_shows_the_mean_return_and_says_of_which_learner_and_environment():
+    runs = {"seeds": 2, "num_episodes": 3, "axes": {"step_size": [0.1, 0.5], "epsilon": [0.1, 0.2]}, "progress": False}
+    curves = hrl.sweep(hrl.make("Maze"), hrl.QLearning(), **runs)
+    ax = heat_map(curves, "step_size", "epsilon")
+    assert ax.get_title() == "Q-learning on Maze, mean (n=2)"
+    shown = ax.images[0].get_array()
+    np.testing.assert_allclose(shown, curves["return"].mean(["seed", "episode"]).transpose("epsilon", "step_size"))
 
 
 def test_a_heat_map_may_be_turned_and_show_another_statistic():

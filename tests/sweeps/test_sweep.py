@@ -247,7 +247,7 @@ def test_several_keys_are_refused():
             "priority must be one of 'cumulative', 'last_reward', got",
         ),
         (lambda: hrljax.SearchRoot(count=None), ValueError, "SearchRoot: count must be one of 'generated', .*got None"),
-        (lambda: hrljax.SearchRoot(answer="all"), ValueError, "SearchRoot: answer must be one of 'any', 'leaf', got"),
+        (lambda: hrljax.SearchRoot(answer="all"), ValueError, "SearchRoot: answer must be one of 'any', .* got"),
         (lambda: hrljax.QLearning(step_size="big"), TypeError, "step_size must be a number or a schedule, got 'big'"),
         (lambda: hrljax.QLearning(discount=abs), TypeError, "discount must be a number, not a schedule"),
         (lambda: hrljax.ModelRoot(interval=0), ValueError, "interval must be an integer from 1 to 2147483647, got 0"),
