@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before anybody starts threads
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # before anybody starts threads
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import jax
