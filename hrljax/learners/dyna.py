@@ -37,7 +37,8 @@ class DynaQ(StepSizeLearner):
 
     Attributes:
         step_size: in (0, 1], or a schedule of the episode; of real and remembered steps.
-        epsilon: probability of a uniformly random action, or a schedule of the episode.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
+            of equally good ones the first.
         discount: in [0, 1].
         initial_value: of every state and action.
         planning_steps: remembered steps per real one, at least 0; 0 gives Q-learning bit for bit.

@@ -122,7 +122,8 @@ class QLearning(_OneStep):
 
     Attributes:
         step_size: in (0, 1], or a schedule of the episode.
-        epsilon: probability of a uniformly random action, or a schedule of the episode.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
+            of equally good ones the first.
         discount: in [0, 1].
         initial_value: of every state and action.
         report_td_error: whether results have the column ``td_error``, the mean absolute error of a step.

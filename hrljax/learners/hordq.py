@@ -106,7 +106,8 @@ class HORDQ(_Decomposed):
             subtask. What does not learn is no part of the leaf cover.
         step_size: in (0, 1], or a schedule of the episode.
         epsilon: probability of a random child at every decision of a subtask, and of a random
-            choice of a root that chooses greedily; or a schedule of the episode.
+            choice of a root that chooses greedily; or a schedule of the episode. Else the best child is
+            invoked, of equally good ones the first.
         discount: in [0, 1].
         initial_value: of Q_e (of Q_c in MAXQ and in a root that learns); other parts begin at 0.
         pseudo_reward: paid to a subtask that ends in its goal; a number, a schedule of the episode or `Fading`.

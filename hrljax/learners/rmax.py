@@ -34,7 +34,7 @@ class RMax(ActionValueLearner):
 
     Attributes:
         epsilon: probability of a uniformly random action, or a schedule of the episode; R-MAX itself
-            explores by optimism alone.
+            explores by optimism alone. Else it takes the best one, of equally good ones the first.
         discount: in [0, 1].
         optimistic_value: of unknown pairs. Should be at least what any policy can earn: ``R_max / (1
             - discount)`` in the paper, 0 where every reward is a cost.

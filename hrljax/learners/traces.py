@@ -152,7 +152,8 @@ class SARSALambda(_Traced):
 
     Attributes:
         step_size: in (0, 1], or a schedule of the episode.
-        epsilon: probability of a uniformly random action, or a schedule of the episode.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
+            of equally good ones the first.
         discount: in [0, 1].
         initial_value: of every state and action.
         trace_decay: lambda in [0, 1], or a schedule of the episode; 0 gives SARSA(0) bit for bit.

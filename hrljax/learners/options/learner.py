@@ -59,7 +59,8 @@ class OptionQ(Learner[OptionTables, Array, Running]):
         options: what can be called, `hrljax.options_from` or arrays of your own.
         update: ``"smdp"`` or ``"intra_option"``.
         step_size: in (0, 1], or a schedule of the episode.
-        epsilon: probability of a uniformly random option at every choice, or a schedule of the episode.
+        epsilon: probability of a uniformly random option at every choice, or a schedule of the episode. Else
+            the best one that can begin, of equally good ones the first.
         discount: in [0, 1], of a primitive step.
         initial_value: of every state and option.
     """
