@@ -5,7 +5,7 @@ over a batch; gymnax's FrozenLake and FourRooms under `vmap` of a scan, as its u
 behind one Python call a batch); Gymnasium's own Taxi, FrozenLake and CliffWalking (one Python call a step). Peers
 that are not installed are left out, and said so. gymnax caps jax and forgets `six`, so it is installed apart::
 
-    pip install -e . envpool && python benchmarks/environments.py --json environments.json
+    pip install -e '.[bench]' && python benchmarks/environments.py --json environments.json
     pip install -e . gymnax six && python benchmarks/environments.py --json with_gymnax.json
 """
 
