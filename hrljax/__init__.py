@@ -32,6 +32,7 @@ from hrljax.learners.options.learner import OptionQ  # noqa: E402
 from hrljax.learners.relational.given_model import MarioDynamics  # noqa: E402
 from hrljax.learners.relational.learned_model import MarioModel  # noqa: E402
 from hrljax.learners.relational.learner import RelationalHORDQ  # noqa: E402
+from hrljax.learners.relational.multiway_model import MultiwayModel  # noqa: E402
 from hrljax.learners.relational.search_root import SearchRoot  # noqa: E402
 from hrljax.learners.rmax import RMax  # noqa: E402
 from hrljax.learners.roots.model import ModelRoot  # noqa: E402
@@ -66,6 +67,7 @@ __all__ = [
     "MarioDynamics",
     "MarioModel",
     "ModelRoot",
+    "MultiwayModel",
     "OptionQ",
     "Options",
     "QLambda",

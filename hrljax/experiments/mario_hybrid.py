@@ -25,6 +25,7 @@ from hrljax.learners.base import Context
 from hrljax.learners.hyperparameters import with_tabulated_schedules
 from hrljax.learners.relational.given_model import MarioDynamics
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
+from hrljax.learners.relational.multiway_model import MultiwayModel
 from hrljax.learners.relational.search_root import SearchRoot
 from hrljax.search.best_first import SearchResult
 from hrljax.sweeps.sweep import sweep
@@ -57,8 +58,20 @@ BEST = RelationalHORDQ(
     trace_decay=0.8,
     trace_length=12,
 )
-"""The best configuration found by sweeps on this level: not the thesis's."""
+"""The best configuration with a given model that was found by sweeps on this level: not the thesis's."""
+BEST_LEARNED = RelationalHORDQ(
+    SearchRoot(model=MultiwayModel(pessimism=5.0), max_nodes=1000, priority="last_reward", answer="sequence"),
+    pseudo_reward=15.0,
+    step_size=_halved_every_100_episodes(0.1, end=0.01),
+    epsilon=_halved_every_100_episodes(0.01, end=0.0001),
+    discount=0.9,
+    trace_decay=0.8,
+    trace_length=12,
+)
+"""The same with the thesis's 27 inputs and a learned model: whole plans on Orange's trees, with pessimism."""
 BEST_NAME = "best found"
+FOUND = {BEST_NAME: BEST, "best found, learned model": BEST_LEARNED}
+"""By name what was found by sweeps."""
 
 
 def environment() -> Mario:
@@ -79,7 +92,7 @@ def run(
     best: bool = False,
     **options: Any,
 ) -> Iterator[dict[str, xr.Dataset]]:
-    """Every method's curve, one bin an episode, sweep by sweep, `BEST`'s at last; `options` as of `hrljax.sweep`.
+    """Every method's curve, one bin an episode, sweep by sweep, `FOUND` at last; `options` as of `hrljax.sweep`.
 
     Ends with a sweep that was interrupted, of which it gives the methods that have finished runs.
     """
@@ -92,8 +105,11 @@ def run(
         curves = {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
         yield {name: curve for name, curve in curves.items() if curve["steps"].notnull().any()}
         complete = hybrid.attrs["complete"]
-    if complete and best:
-        yield {BEST_NAME: sweep(env, BEST, **common)}
+    for name, learner in FOUND.items() if best else ():
+        if complete:
+            curves = sweep(env, learner, **common)
+            yield {name: curves}
+            complete = curves.attrs["complete"]
 
 
 def summary_row(name: str, dataset: xr.Dataset) -> Row:

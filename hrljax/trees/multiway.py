@@ -159,23 +159,24 @@ class MultiwayTree:
             zero=zero,
         )
 
-    def predict(self, trees: MultiwayTrees, inputs: Array, group: Array | int = 0) -> Array:
-        """The prediction (float32 ``[K]``) of one group's tree for one row of inputs (float32 ``[F]``)."""
 
-        def children(node: Array) -> tuple[Array, Array]:
-            word = take(trees.words, node)
-            value = take(inputs, word & np.int32(NUMBER - 1))
-            child, has_child = branch(word, take(trees.numbers, node), value.astype(jnp.int32), value)
-            return (word >> np.int32(LEFT_SHIFT)) + child, has_child & (word != LEAF)
+def predict(trees: MultiwayTrees, inputs: Array, group: Array | int = 0) -> Array:
+    """The prediction (float32 ``[K]``) of one group's tree for one row of inputs (float32 ``[F]``)."""
 
-        def descend(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            _, child, _ = carry
-            return child, *children(child)
+    def children(node: Array) -> tuple[Array, Array]:
+        word = take(trees.words, node)
+        value = take(inputs, word & np.int32(NUMBER - 1))
+        child, has_child = branch(word, take(trees.numbers, node), value.astype(jnp.int32), value)
+        return (word >> np.int32(LEFT_SHIFT)) + child, has_child & (word != LEAF)
 
-        root = jnp.asarray(group, jnp.int32)
-        node = lax.while_loop(lambda carry: carry[2], descend, (root, *children(root)))[0]
-        k = len(trees.means) // len(trees.words)
-        return take_row(trees.means, node * np.int32(k), k)
+    def descend(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        _, child, _ = carry
+        return child, *children(child)
+
+    root = jnp.asarray(group, jnp.int32)
+    node = lax.while_loop(lambda carry: carry[2], descend, (root, *children(root)))[0]
+    k = len(trees.means) // len(trees.words)
+    return take_row(trees.means, node * np.int32(k), k)
 
 
 def _roots(limits: Limits, sample: Sample, num_groups: int, count: Array) -> Level:

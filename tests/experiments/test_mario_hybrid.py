@@ -93,10 +93,11 @@ def test_a_film_is_of_a_learner_with_a_root():
     script = runpy.run_path(str(SCRIPTS / "table_4_1.py"))
     options = script["Options"](pseudo_rewards=(10.0,), model="given")
     root = mario_hybrid.ROOTS["given"]
-    of = {name: script["_learner"](name, root, options) for name in ("SARSA", "Model+HORDQ(10)", "best found")}
+    found = ("best found", "best found, learned model")
+    of = {name: script["_learner"](name, root, options) for name in ("SARSA", "Model+HORDQ(10)", *found)}
     assert of["SARSA"] == RelationalHORDQ(root, pseudo_reward=mario_hybrid.FOLLOWS)
     assert of["Model+HORDQ(10)"] == RelationalHORDQ(root, pseudo_reward=10.0)
-    assert of["best found"] == mario_hybrid.BEST
+    assert [of[name] for name in found] == [mario_hybrid.BEST, mario_hybrid.BEST_LEARNED]
 
 
 @pytest.mark.parametrize(

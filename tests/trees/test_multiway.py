@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrljax.engine import batch
-from hrljax.trees.multiway import READINGS, MultiwayTree, MultiwayTrees
+from hrljax.trees.multiway import READINGS, MultiwayTree, MultiwayTrees, predict
 
 F = np.float32
 
@@ -40,9 +40,9 @@ def fit(tree: MultiwayTree, inputs: Any, targets: Any, weights: Any = None, **mo
     return jax.jit(lambda *rows: tree.fit(*rows, **more))(np.array(inputs, F), targets, weights)
 
 
-def predictions(tree: MultiwayTree, trees: MultiwayTrees, inputs: Any, group: int = 0) -> np.ndarray:
+def predictions(trees: MultiwayTrees, inputs: Any, group: int = 0) -> np.ndarray:
     rows = jnp.asarray(np.array(inputs, F))
-    return np.asarray(jax.jit(jax.vmap(lambda row: tree.predict(trees, row, group)))(rows))
+    return np.asarray(jax.jit(jax.vmap(lambda row: predict(trees, row, group)))(rows))
 
 
 KINDS_AND_NUMBERS = [[0, 1], [0, 2], [1, 1], [1, 2], [3, 3], [3, 4], [3, 9], [3, 10]]
@@ -106,7 +106,7 @@ def test_a_kind_without_a_branch_is_answered_by_the_nodes_mean():
     tree = MultiwayTree((4, 0))
     trees = fit(tree, KINDS_AND_NUMBERS, VALUES)
     asked = [[2, 5], [0, 5], [1, 99], [3, 6.5], [3, 6.6], [3, 9.5], [3, 9.6]]
-    np.testing.assert_array_equal(predictions(tree, trees, asked)[:, 0], [3, 0, -20, 10, 20, 20, 24])
+    np.testing.assert_array_equal(predictions(trees, asked)[:, 0], [3, 0, -20, 10, 20, 20, 24])
 
 
 def test_several_targets_are_weighed_by_their_variances():
@@ -210,7 +210,7 @@ def fit_groups(data: tuple[Any, ...]) -> Any:
     """All trees, and a prediction of each for the first row."""
     tree = MultiwayTree(MIXED, min_split=5, pruning=1.0)
     trees = tree.fit(*data, num_groups=5, count=55)
-    return trees, [tree.predict(trees, data[0][0], g) for g in range(5)]
+    return trees, [predict(trees, data[0][0], g) for g in range(5)]
 
 
 def test_mappings_agree_bit_for_bit():
@@ -241,7 +241,7 @@ def test_a_row_for_every_leaf_comes_back_exactly():
     inputs, values = mixed(8, 200, 3)
     tree = MultiwayTree(MIXED)
     trees = fit(tree, inputs, values)
-    np.testing.assert_array_equal(predictions(tree, trees, inputs), values)
+    np.testing.assert_array_equal(predictions(trees, inputs), values)
     assert int(np.max(np.flatnonzero(trees.words))) < tree.capacity(200)
 
 

@@ -66,7 +66,7 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
         if not isinstance(nodes, Tracer) and nodes == int(nodes):
             self._set("max_nodes", int(nodes))  # an axis has floats
         check_room(self.max_nodes, self.room, "SearchRoot: ")
-        checks.instance("SearchRoot: model", self.model, PlannerModel, "a MarioModel or MarioDynamics")
+        checks.instance("SearchRoot: model", self.model, PlannerModel, "a MarioModel, MultiwayModel or MarioDynamics")
 
     @property
     def planning_interval(self) -> int:

@@ -22,18 +22,18 @@ def nothing_met() -> Array:
 
 def mark(table: Array, inputs: Array, where: Array | bool) -> Array:
     """The table after `inputs` (int32 ``[F]``) have been met, if `where`."""
-    place = lax.select(jnp.asarray(where), _place(inputs), jnp.int32(_SPARE))
+    place = lax.select(jnp.asarray(where), mixed(inputs, _PLACE_BITS), jnp.int32(_SPARE))
     return put_row(table, place, jnp.ones(1, jnp.bool_))
 
 
 def is_met(table: Array, inputs: Array) -> Array:
     """Whether `inputs` (int32 ``[F]``) have been met."""
-    return take(table, _place(inputs))
+    return take(table, mixed(inputs, _PLACE_BITS))
 
 
-def _place(inputs: Array) -> Array:
-    """A multilinear hash, and its higher half mixed into the lower."""
+def mixed(inputs: Array, bits: int) -> Array:
+    """A number of so many bits: a multilinear hash of int32 numbers, and its higher half mixed into the lower."""
     odd = np.random.default_rng(0).integers(1 << 32, size=len(inputs), dtype=np.uint32) | np.uint32(1)
     word = jnp.sum(inputs.astype(jnp.uint32) * odd, dtype=jnp.uint32)
     word = (word ^ (word >> np.uint32(15))) * _MIX
-    return (word >> np.uint32(32 - _PLACE_BITS)).astype(jnp.int32)
+    return (word >> np.uint32(32 - bits)).astype(jnp.int32)

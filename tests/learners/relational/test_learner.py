@@ -248,7 +248,7 @@ def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: R
 
 
 def body(episode: Any) -> Any:
-    from hrljax.learners.relational.learned_model import body_of
+    from hrljax.learners.relational.screen_model import body_of
 
     return body_of(episode.world)
 

@@ -1,0 +1,145 @@
+"""The model with multiway trees: what it keeps and gives back, ends that it foresees, the screen's edges."""
+
+import dataclasses
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hrljax as hrl
+from hrljax.engine import compiler
+from hrljax.envs.mario.env import Mario
+from hrljax.learners.base import Transition
+from hrljax.learners.relational.multiway_model import MultiwayModel
+from hrljax.learners.relational.screen_model import Foreseen, ScreenModel, body_of
+
+ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")
+F = np.float32
+MODEL = MultiwayModel(rows=64, pessimism=5.0)
+
+
+@pytest.fixture(scope="module")
+def walk() -> list[Transition]:
+    """Right-biased random actions until the episode ends."""
+    generator = np.random.default_rng(7)
+    step = jax.jit(lambda state, action: ENV.step(jax.random.key(0), state, action))
+    _, state = jax.jit(ENV.reset)(jax.random.key(0))
+    steps: list[Transition] = []
+    while not steps or not steps[-1].terminated:
+        action = jnp.int32(generator.choice([4, 5, 7, 8, 0]))
+        _, after, reward, terminated, _, _ = step(state, action)
+        steps.append(Transition(state, action, reward, after, terminated))
+        state = after
+    assert 10 < len(steps) < 64
+    return steps
+
+
+def observed(model: MultiwayModel, walks: list[list[Transition]], learns: bool = True) -> Any:
+    observe = jax.jit(lambda tables, step: model.observe(ENV, tables, step, jnp.bool_(learns)))
+    tables = model.init(ENV)
+    for step in (step for walk in walks for step in walk):
+        tables = observe(tables, step)
+    return tables
+
+
+def test_equal_transitions_are_one_row_with_a_weight(walk: list[Transition]):
+    tables = observed(MODEL, [walk, walk[:5], walk])
+    kept = tables.replay
+    different = {
+        np.concatenate([MODEL.inputs(ENV.course, s.state.world), [s.action, s.reward, s.terminated]]).tobytes()
+        for s in walk
+    }
+    count = int(kept.filled)
+    assert count == len(different)
+    assert float(jnp.sum(kept.weights[:count])) == 2 * len(walk) + 5
+    once = observed(MODEL, [walk]).replay
+    np.testing.assert_array_equal(kept.values[: -MODEL._width], once.values[: -MODEL._width])
+
+
+def test_a_transition_that_does_not_count_changes_nothing_that_is_read(walk: list[Transition]):
+    before, after = observed(MODEL, [walk[:3]]), observed(MODEL, [walk[:3]])
+    ignore = jax.jit(lambda tables, step: MODEL.observe(ENV, tables, step, jnp.bool_(False)))
+    for step in walk:
+        after = ignore(after, step)
+    np.testing.assert_array_equal(before.replay.values[: -MODEL._width], after.replay.values[: -MODEL._width])
+    np.testing.assert_array_equal(before.replay.weights[:-1], after.replay.weights[:-1])
+    chex.assert_trees_all_equal(before.replay.places, after.replay.places)
+    assert int(before.replay.filled) == int(after.replay.filled)
+
+
+def test_what_comes_when_all_rows_are_taken_is_forgotten(walk: list[Transition]):
+    full = observed(dataclasses.replace(MODEL, rows=8), [walk, walk[:2]]).replay
+    assert int(full.filled) == 8
+    assert float(full.weights[0]) >= 2
+    whole = observed(MODEL, [walk]).replay
+    width = MODEL._width
+    np.testing.assert_array_equal(full.values[: 8 * width], whole.values[: 8 * width])
+
+
+@pytest.mark.parametrize("loops", ["jit", "native"])
+def test_what_was_met_comes_back_exactly_and_the_last_step_is_an_end(walk: list[Transition], loops: str):
+    tables = observed(MODEL, [walk])
+    options = compiler.nested_options() if loops == "native" else None
+    tables = jax.jit(lambda tables: MODEL.refit(ENV, tables), compiler_options=options)(tables)
+    ahead = jax.jit(
+        lambda state, action: (lambda model, start: model(start, action))(*MODEL.planned(ENV, tables, state))
+    )
+    never = jnp.int32(1)  # the walk never takes it
+    for step in walk:
+        after, reward, ended = ahead(step.state, step.action)
+        assert bool(ended) == bool(step.terminated)
+        np.testing.assert_allclose(reward, step.reward, rtol=1e-6)
+        assert float(ahead(step.state, never)[1]) <= max(float(s.reward) for s in walk) - 5 + 1e-5
+        if not step.terminated:
+            truth = body_of(step.next_state.world)
+            np.testing.assert_allclose(after, truth, rtol=1e-5, atol=1e-4)
+
+
+def test_pessimism_may_be_swept(walk: list[Transition]):
+    """A number that is known late gives what a constant does."""
+    tables = observed(MODEL, [walk])
+
+    def reward(model: MultiwayModel) -> Any:
+        ahead, start = model.planned(ENV, tables, walk[3].state)
+        return jnp.stack([ahead(start, jnp.int32(action))[1] for action in range(3)])
+
+    late = jax.jit(lambda pessimism: reward(dataclasses.replace(MODEL, pessimism=pessimism)))
+    for pessimism in (0.5, 5.0):
+        expected = jax.jit(lambda p=pessimism: reward(dataclasses.replace(MODEL, pessimism=p)))()
+        np.testing.assert_array_equal(late(F(pessimism)), expected)
+    learner = hrl.RelationalHORDQ(hrl.SearchRoot(model=MODEL))
+    assert learner.sweepable()["root.model.pessimism"] == 5.0
+    assert learner.replaced({"root.model.pessimism": 2.0}).root.model == dataclasses.replace(MODEL, pessimism=2.0)
+
+
+@pytest.mark.parametrize("x", [3.0, 17.0, 40.0])
+def test_a_look_ahead_reads_what_is_learned_from_at_the_left_end_too(walk: list[Transition], x: float):
+    """The level goes on beyond its end, in both."""
+
+    class Reader(MultiwayModel):
+        def foreseen(self, learned: Any, inputs: jax.Array, action: jax.Array) -> Foreseen:
+            return Foreseen([jnp.float32(0)] * 4, inputs[action], False)
+
+    episode = walk[0].state
+    world = episode.world
+    moved = world._replace(player=world.player._replace(x=jnp.float32(x), x_old=jnp.float32(x), y=jnp.float32(200)))
+    model: ScreenModel = Reader()
+    ahead, start = model.planned(ENV, model.init(ENV), episode._replace(world=moved))
+    read = jax.jit(jax.vmap(lambda i: ahead(start, i)[1]))(jnp.arange(27))
+    np.testing.assert_array_equal(read, model.inputs(ENV.course, moved))
+    assert np.any(np.asarray(read[:25]) != 0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"reading": "E"}, "MultiwayModel: reading must be one of 'A', 'B', 'C', 'D', got 'E'"),
+        ({"rows": 0}, "MultiwayModel: rows must be an integer from 1 to 1048576, got 0"),
+    ],
+)
+def test_bad_settings_are_refused(settings: dict[str, Any], message: str):
+    with pytest.raises(ValueError, match=message):
+        MultiwayModel(**settings)
