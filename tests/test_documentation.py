@@ -48,16 +48,16 @@ def small(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class Printed:
-    """`print` for examples: what a line prints has the numbers that its comment says, if it has a comment."""
+    """`print` for examples: what a line prints first has the numbers that its comment says, if it has a comment."""
 
     def __init__(self, document: Path):
-        self._lines = document.read_text().splitlines()
+        self._lines = dict(enumerate(document.read_text().splitlines(), start=1))
 
     def __call__(self, *values: Any) -> None:
         frame = inspect.currentframe()
         assert frame is not None
         assert frame.f_back is not None
-        line = self._lines[frame.f_back.f_lineno - 1]
+        line = self._lines.pop(frame.f_back.f_lineno, "")
         if comment := re.search(r"  # (.+)", line):
             printed = NUMBER.findall(" ".join(map(str, values)))
             assert set(printed) <= set(NUMBER.findall(comment[1])), f"{line}\nprints {values}"
