@@ -5,9 +5,9 @@ depending on how it cut the program into kernels. Two mappings of one function (
 `vmap`) can then differ in a last bit, after which two runs take different paths.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 
 P = ParamSpec("P")
 T = TypeVar("T")
+_IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 
 
 def take(table: Array, index: Array) -> Array:
@@ -39,37 +40,63 @@ def take_row(table: Array, start: Array, length: int) -> Array:
     def read_each(size: int, batched: list[bool], table: Array, start: Array) -> tuple[Array, bool]:
         if not batched[1]:
             return lax.dynamic_slice_in_dim(table, start, length, axis=1), True
-        flat, places = _in_one_vector(table, start, length)
+        places = _places(table, start, length)[:, None]
         numbers = lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
-        return lax.gather(flat, places, numbers, (length,), mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS), True
+        return lax.gather(table.reshape(-1), places, numbers, (length,), mode=_IN_BOUNDS), True
 
     return read(table, start.astype(jnp.uint32))
 
 
 def put_row(table: Array, start: Array, row: Array) -> Array:
     """`table` with ``table[start : start + len(row)]`` replaced by `row`."""
+    return put_rows(table, [start], [row])
+
+
+def put_rows(table: Array, starts: Sequence[Array], rows: Sequence[Array]) -> Array:
+    """`table` with several rows replaced, one after the other."""
 
     @custom_vmap
-    def write(table: Array, start: Array, row: Array) -> Array:
-        return lax.dynamic_update_slice(table, row, (start,))
+    def write(table: Array, starts: list[Array], rows: list[Array]) -> Array:
+        for start, row in zip(starts, rows, strict=True):
+            table = lax.dynamic_update_slice(table, row, (start,))
+        return table
 
     @write.def_vmap
-    def write_each(size: int, batched: list[bool], *arguments: Array) -> tuple[Array, bool]:
-        table, start, row = (
-            leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape))
-            for leaf, is_batched in zip(arguments, batched, strict=True)
-        )
-        flat, places = _in_one_vector(table, start, row.shape[1])
-        numbers = lax.ScatterDimensionNumbers((1,), (), (0,))
-        mode = lax.GatherScatterMode.PROMISE_IN_BOUNDS
-        flat = lax.scatter(flat, places, row, numbers, indices_are_sorted=True, unique_indices=True, mode=mode)
-        return flat.reshape(table.shape), True
+    def write_each(
+        size: int, batched: list[Any], table: Array, starts: list[Array], rows: list[Array]
+    ) -> tuple[Array, bool]:
+        def spread(leaf: Array, is_batched: bool) -> Array:
+            return leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape))
 
-    return write(table, start.astype(jnp.uint32), row)
+        table, starts, rows = jax.tree.map(spread, (table, starts, rows), tuple(batched))
+        flat, lengths = table.reshape(-1), [row.shape[1] for row in rows]
+        places = [_places(table, start, length) for start, length in zip(starts, lengths, strict=True)]
+
+        def one_by_one() -> Array:
+            def put(run: Array, flat: Array) -> Array:
+                for place, row in zip(places, rows, strict=True):
+                    start = lax.dynamic_index_in_dim(place, run, keepdims=False).astype(jnp.uint32)
+                    flat = lax.dynamic_update_slice(flat, lax.dynamic_index_in_dim(row, run, keepdims=False), (start,))
+                return flat
+
+            return lax.fori_loop(0, size, put, flat)
+
+        def all_at_once() -> Array:
+            numbers, after = lax.ScatterDimensionNumbers((1,), (), (0,)), flat
+            options = {"indices_are_sorted": True, "unique_indices": True, "mode": _IN_BOUNDS}
+            for place, row in zip(places, rows, strict=True):
+                after = lax.scatter(after, place[:, None], row, numbers, **options)
+            return after
+
+        # A loop that holds a scatter does not become a native function.
+        written = lax.platform_dependent(cpu=one_by_one, default=all_at_once)
+        return written.reshape(table.shape), True
+
+    return write(table, [start.astype(jnp.uint32) for start in starts], list(rows))
 
 
-def _in_one_vector(tables: Array, starts: Array, length: int) -> tuple[Array, Array]:
-    """The tables of N runs, or the one that all have, as one vector, and where in it rows begin (``[N, 1]`` int32).
+def _places(tables: Array, starts: Array, length: int) -> Array:
+    """Where rows begin (``[N]`` int32) in one vector of the tables of N runs, or in the table that all have.
 
     What `vmap` would make of a slice, a gather with an axis of runs, takes much longer.
     """
@@ -77,7 +104,7 @@ def _in_one_vector(tables: Array, starts: Array, length: int) -> tuple[Array, Ar
     places = lax.min(starts, np.uint32(size - length)).astype(jnp.int32)
     if tables.ndim == 2:
         places += np.arange(len(tables), dtype=np.int32) * np.int32(size)
-    return tables.reshape(-1), places[:, None]
+    return places
 
 
 def opaque_zero(word: Array) -> Array:

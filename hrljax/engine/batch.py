@@ -22,8 +22,11 @@ from hrljax.engine import compiler
 
 Mapping = Literal["auto", "native", "vmap"]
 _MAX_CHUNK = {"native": 16, "vmap": 256}
-_GROUP = 64
-"""Rows of a chunk that go together under `vmap` on a CPU: with more, their tables leave its cache."""
+_GROUP, _SMALLEST_GROUP = 64, 8
+"""Runs that go together under `vmap` on a CPU at the most; and that fill a register, however large their tables are."""
+_GROUP_BYTES = 1 << 23
+"""What the tables of such a group may take. Larger ones leave the cache; and XLA counts a table anew for every read of
+it, and makes no native function of a loop that touches too much."""
 _CHUNKS_OF_A_STORE = 64
 _CHUNKS_WITH_AN_EXECUTOR = 256
 """Chunks that an executor of unknown size is given at a time."""
@@ -59,16 +62,17 @@ def usable_cores() -> int:
 
 
 def compile_mapped(
-    function: Callable[[Any], Any], mapping: Literal["native", "vmap"], nested: bool = False
+    function: Callable[[Any], Any], mapping: Literal["native", "vmap"], nested: bool = False, group: int = _GROUP
 ) -> Callable[[Any], Any]:
     """A jitted function of a chunk of rows. Build it once for a function and keep it.
 
-    `nested` says that its steps hold loops of their own, see `hrljax.engine.compiler.NESTED_OPTIONS`.
+    `nested` says that its steps hold loops of their own, see `hrljax.engine.compiler.NESTED_OPTIONS`; `group`, how many
+    rows go together under `vmap` on a CPU, see `group_length`.
     """
     if mapping == "vmap":
         if not _native_lockstep():
             return jax.jit(jax.vmap(function))
-        return jax.jit(_in_groups(function), compiler_options=dict(compiler.NESTED_OPTIONS))
+        return jax.jit(_in_groups(function, group), compiler_options=dict(compiler.NESTED_OPTIONS))
     options = compiler.NESTED_OPTIONS if nested else compiler.OPTIONS
     return jax.jit(lambda rows: lax.map(function, rows), compiler_options=dict(options))
 
@@ -78,12 +82,17 @@ def _native_lockstep() -> bool:
     return jax.default_backend() == "cpu" and compiler.native_loops_available()
 
 
-def _in_groups(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function of a row, mapped over the rows of a chunk by `vmap`, at most `_GROUP` at a time."""
+def group_length(table_bytes: int) -> int:
+    """How many runs go together under `vmap` on a CPU, whose tables take so many bytes each."""
+    return max(_SMALLEST_GROUP, min(_GROUP, _GROUP_BYTES // table_bytes))
+
+
+def _in_groups(function: Callable[[Any], Any], most: int) -> Callable[[Any], Any]:
+    """A function of a row, mapped over the rows of a chunk by `vmap`, at most so many at a time."""
 
     def mapped(rows: Any) -> Any:
         num_rows = len(jax.tree.leaves(rows)[0])
-        groups = -(-num_rows // _GROUP)
+        groups = -(-num_rows // most)
         if groups == 1:
             return jax.vmap(function)(rows)
         # The last group is filled up with copies of the last row.

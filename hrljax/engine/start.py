@@ -103,6 +103,11 @@ def learned_shapes(env: AnyEnvironment, learner: AnyLearner) -> chex.ArrayTree:
     return jax.eval_shape(lambda: learner.init(env, prepared).tables)
 
 
+def learned_bytes(env: AnyEnvironment, learner: AnyLearner) -> int:
+    """What a learner's tables take in memory."""
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(learned_shapes(env, learner)))
+
+
 def described(tables: chex.ArrayTree) -> str:
     """Names, dtypes and shapes of tables."""
     return ", ".join(f"{name}: {leaf.dtype}{list(leaf.shape)}" for name, leaf in named_leaves(tables))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from hrljax.core.flags import Flag, both
-from hrljax.core.numerics import exact_product, put_row, stage, take_row
+from hrljax.core.numerics import exact_product, put_rows, stage, take_row
 from hrljax.learners.base import Context, Discounted
 
 
@@ -57,9 +57,7 @@ def moved(table: Array, moves: Sequence[Move], step_size: Array, context: Contex
     # With one row there is nothing to keep apart.
     apart = stage(towards) if len(moves) > 1 else towards
     rows = [apart(start, target, jnp.asarray(both(learns, context.learns))) for start, target, learns in moves]
-    for move, row in reversed(list(zip(moves, rows, strict=True))):
-        table = put_row(table, move.start, row)
-    return table
+    return put_rows(table, [move.start for move in moves][::-1], rows[::-1])
 
 
 def increment(old: Array, target: Array, step_size: Array, learns: Flag, zero: Array) -> Array:

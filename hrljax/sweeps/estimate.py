@@ -14,7 +14,7 @@ from jax import Array
 from hrljax.core import checks, interrupts
 from hrljax.core.environment import Numbers
 from hrljax.engine import batch
-from hrljax.engine.start import learned_shapes
+from hrljax.engine.start import learned_bytes
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
 from hrljax.sweeps.job import Job
@@ -107,7 +107,7 @@ def estimate(
     at_once = min(workers, len(chunks)) if workers else batch.most_at_once(request.mapping, cores, len(chunks))
     measured = _Measured(request, length)
     seconds_per_chunk = measured.chunk_seconds(request.job, length)
-    tables = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(learned_shapes(env, learner)))
+    tables = learned_bytes(env, learner)
     variables = request.schema(length).variables.values()
     return Estimate(
         runs=num_runs,

@@ -16,7 +16,7 @@ from jax import Array
 from hrljax.core import forks, interrupts
 from hrljax.core.environment import Numbers
 from hrljax.engine import batch
-from hrljax.engine.start import Start, named_leaves, steps_of
+from hrljax.engine.start import Start, learned_bytes, named_leaves, steps_of
 from hrljax.engine.train import run_once
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
@@ -176,7 +176,8 @@ class _Mapped:
 
     def __init__(self, job: Job):
         assert job.mapping != "auto"
-        mapped = batch.compile_mapped(lambda row: job.run(row), job.mapping, job.env.has_loops)
+        group = batch.group_length(learned_bytes(job.env, job.learner))
+        mapped = batch.compile_mapped(lambda row: job.run(row), job.mapping, job.env.has_loops, group)
         self._jitted = cast(jax.stages.Wrapped, mapped)
         self._compilations: dict[str, Future[jax.stages.Compiled]] = {}  # by the shapes
         self._lock = threading.Lock()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import lax
 
-from hrljax.core.numerics import exact_product, opaque_zero, put_row, stage, take, take_row
+from hrljax.core.numerics import exact_product, opaque_zero, put_row, put_rows, stage, take, take_row
 
 TRIPLES = np.random.default_rng(0).standard_normal((3, 100_000)).astype(np.float32)
 
@@ -123,6 +124,23 @@ def test_rows_of_many_tables_are_those_of_each(tables: bool, starts: bool):
         one, first = table[run if tables else 1], min(start[run if starts else 1], 6)
         np.testing.assert_array_equal(read[run], one[first : first + 3])
         np.testing.assert_array_equal(written[run], np.concatenate([one[:first], row[run], one[first + 3 :]]))
+
+
+def test_of_rows_that_are_replaced_one_after_the_other_the_last_stays():
+    table, rows = np.zeros((3, 6), np.float32), [np.full((3, 2), 1, np.float32), np.full((3, 3), 2, np.float32)]
+    starts = [np.array([0, 1, 9], np.int32), np.array([1, 3, 0], np.int32)]
+    expected = [[1, 2, 2, 2, 0, 0], [0, 1, 1, 2, 2, 2], [2, 2, 2, 0, 1, 1]]
+    np.testing.assert_array_equal(jax.jit(jax.vmap(put_rows))(table, starts, rows), expected)
+    for run in range(3):
+        alone = put_rows(jnp.asarray(table[run]), [jnp.asarray(of[run]) for of in starts], [of[run] for of in rows])
+        np.testing.assert_array_equal(alone, expected[run])
+
+
+def test_an_accelerator_writes_all_rows_at_once(monkeypatch: pytest.MonkeyPatch):
+    expected = jax.vmap(put_row)(np.zeros((3, 6), np.float32), np.array([0, 4, 9]), np.ones((3, 2), np.float32))
+    monkeypatch.setattr(lax, "platform_dependent", lambda *, cpu, default: default())
+    actual = jax.vmap(put_row)(np.zeros((3, 6), np.float32), np.array([0, 4, 9]), np.ones((3, 2), np.float32))
+    np.testing.assert_array_equal(actual, expected)
 
 
 @pytest.mark.parametrize("under_jit", [False, True])

@@ -85,8 +85,7 @@ def test_runs_may_end_at_very_different_times():
 
 
 @pytest.mark.parametrize("num_rows", [1, 3, 4, 5, 7, 9])
-def test_a_chunk_of_any_size_is_cut_into_groups(num_rows: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(batch, "_GROUP", 4)
+def test_a_chunk_of_any_size_is_cut_into_groups(num_rows: int):
     rows = {"x": np.arange(num_rows, dtype=np.int32), "y": np.ones((num_rows, 2), np.float32)}
     sizes = []
 
@@ -95,7 +94,7 @@ def test_a_chunk_of_any_size_is_cut_into_groups(num_rows: int, monkeypatch: pyte
         total.def_vmap(lambda size, _, x: (sizes.append(size), (x, True))[1])
         return {"twice": total(row["x"]) * 2, "y": row["y"] + 1}
 
-    after = batch.compile_mapped(function, "vmap")(rows)
+    after = batch.compile_mapped(function, "vmap", group=4)(rows)
     np.testing.assert_array_equal(after["twice"], 2 * np.arange(num_rows))
     np.testing.assert_array_equal(after["y"], np.full((num_rows, 2), 2))
     assert max(sizes) <= 4
@@ -107,7 +106,11 @@ def test_runs_in_several_groups_are_those_of_one(monkeypatch: pytest.MonkeyPatch
         return hrljax.sweep(MAZE, hrljax.SARSA(), **options, keep_learned=True, progress=False)
 
     native = swept("native")
-    monkeypatch.setattr(batch, "_GROUP", 2)
+    monkeypatch.setattr(batch, "group_length", lambda table_bytes: 2)
     vmap = swept("vmap")
     for variable in native:
         np.testing.assert_array_equal(native[variable], vmap[variable], err_msg=str(variable))
+
+
+def test_the_tables_of_a_group_stay_in_a_cores_cache():
+    assert [batch.group_length(size) for size in (1, 100_000, 300_000, 900_000, 1 << 30)] == [64, 64, 27, 9, 8]

@@ -8,7 +8,7 @@ from jax import Array, lax
 
 from hrljax.core import choices
 from hrljax.core.flags import Flag
-from hrljax.core.numerics import expectation, put_row, stage, take
+from hrljax.core.numerics import expectation, put_row, put_rows, stage, take
 from hrljax.core.random import threshold
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
@@ -170,10 +170,7 @@ class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables, Memory]):
             context.learns,
             context.zero,
         )
-        model = tables.model
-        for place, entry in zip(places, new, strict=True):
-            model = put_row(model, place, entry[None])
-        return tables._replace(model=model)
+        return tables._replace(model=put_rows(tables.model, places, [entry[None] for entry in new]))
 
     def _stored(self, points: DecisionPoints, tables: ModelTables, decided: Memory) -> Values:
         """What `_recorded` stored where a decision was taken."""
@@ -183,9 +180,8 @@ class ModelRoot(SubtaskRoot[DecisionPoints, ModelTables, Memory]):
     def _recorded(self, points: DecisionPoints, tables: ModelTables, decided: Memory, values: Values) -> ModelTables:
         """The tables with the values that a decision went by."""
         value, *until_ends = values
-        stored = tables.until_end
-        for place, until_end in zip(self._places(points, decided.point), until_ends, strict=True):
-            stored = put_row(stored, place, until_end[None])
+        rows = [until_end[None] for until_end in until_ends]
+        stored = put_rows(tables.until_end, self._places(points, decided.point), rows)
         return tables._replace(values=put_row(tables.values, decided.point, value[None]), until_end=stored)
 
     def _places(self, points: DecisionPoints, point: Array) -> list[Array]:
