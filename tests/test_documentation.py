@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import json
 import pkgutil
 import re
 import shutil
@@ -12,6 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 import gymnasium
+import make_notebooks
 import public_names
 import pytest
 from matplotlib.image import imread
@@ -160,6 +162,34 @@ def test_every_learner_has_a_page_with_its_curve_and_its_rule(name: str):
     assert text.splitlines()[2].startswith("!["), "a picture comes first"
     assert "$$" in text
     assert "**Source**" in text
+
+
+@pytest.mark.parametrize("name", make_notebooks.NOTEBOOKS)
+def test_notebooks_are_those_of_their_pages(name: str):
+    """Their code is run with the pages'; here, that it is Python, and that links lead somewhere."""
+    file = make_notebooks.FOLDER / f"{name}.ipynb"
+    assert file.read_text() == make_notebooks.notebook(make_notebooks.NOTEBOOKS[name])
+    cells = json.loads(file.read_text())["cells"]
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            compile(cell["source"], file, "exec")
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", cell["source"]):
+            assert "://" in link or (file.parent / link).exists(), link
+    assert sum(cell["cell_type"] == "code" for cell in cells) >= 2
+
+
+def test_a_page_becomes_cells_that_show_their_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(make_notebooks, "DOCS", tmp_path)
+    monkeypatch.setattr(make_notebooks, "FOLDER", tmp_path / "notebooks")
+    (tmp_path / "guides").mkdir()
+    code = 'ax = f()\nax.figure.savefig("a.png")\ng(ax).figure.savefig("b.png")\n'
+    (tmp_path / "guides" / "x.md").write_text(f"# X\n\n![y](../y.png) [z](z.md)\n\n```python\n{code}```\n\nend\n")
+    cells = json.loads(make_notebooks.notebook("guides/x"))["cells"]
+    assert [cell["source"] for cell in cells] == [
+        "# X\n\n![y](../y.png) [z](../guides/z.md)",
+        'ax = f()\nax.figure.savefig("a.png")\ng(ax)',
+        "end",
+    ]
 
 
 def test_docstrings_name_sections_that_exist():
