@@ -333,6 +333,7 @@ def _parted(limits: Limits, sample: Sample, nodes: Nodes, level: Level, followin
         child = (word >> np.int32(LEFT_SHIFT)) + branch(word, number, symbol, value)[0] - following.first_node
         is_kept = is_row & (word != LEAF)
         child = lax.select(is_kept, child, jnp.int32(len(free) - 1))
+        # Read once: read again for each of two writes, the whole array would be copied for every row.
         where = lax.optimization_barrier(take(free, child))
         parted = put_row(parted, lax.select(is_kept, where, jnp.int32(spare)), row[None])
         free = put_row(free, child, where[None] + 1)
