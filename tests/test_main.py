@@ -1,6 +1,7 @@
 """``python -m hrljax``."""
 
 import runpy
+import sys
 from importlib.metadata import version
 
 import jax
@@ -9,7 +10,10 @@ import pytest
 import hrljax as hrl
 
 
-def test_it_tells_versions_devices_mapping_environments_and_learners(capsys: pytest.CaptureFixture[str]):
+def test_it_tells_versions_devices_mapping_environments_and_learners(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delitem(sys.modules, "hrljax.__main__", raising=False)  # of a test that imports all modules
     runpy.run_module("hrljax", run_name="__main__")
     rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     assert rows["hrljax"] == hrl.__version__ == version("hrljax")

@@ -208,7 +208,7 @@ def test_intervals_are_a_row_for_every_learner():
         ),
         (
             lambda: learning_curves(curve()["return"].mean("seed")),
-            "curves must have the dimensions 'seed' and 'episode' or",
+            "curves must have the dimensions 'seed' and 'episode', 'checkpoint' or 'steps', got",
         ),
         (
             lambda: learning_curves(curve(), references={"optimum": np.nan}),
