@@ -2,8 +2,8 @@
 
 Cases: Q-learning; HORDQ(5), and HORDQ with shared values and a pseudo-reward that fades, each under a
 random root and under the model-based root. Contestants:
-hrljax's native loop; the same algorithm as a hand-written numba loop; the plain vmap way with
-jax.random in the step (Q-learning); a learner that takes one step a Python call, simple_rl
+hrljax's native loop; its runs in lockstep; the same algorithm as a hand-written numba loop; the plain
+vmap way with jax.random in the step (Q-learning); a learner that takes one step a Python call, simple_rl
 (Q-learning). All run in turns, round after round, so that a change of the machine's speed meets
 all of them; the median is reported. Compile time is apart.
 
@@ -44,6 +44,11 @@ except ModuleNotFoundError:
 
 _SEEDS = 8
 """Runs a core of a contestant in a round."""
+_TOGETHER = (64, 256)
+"""Runs that take their steps together, of those that `vmap` maps."""
+_IN_LOCKSTEP = ("Q-learning", "HORDQ(5)+random", "HORDQ(5)+model")
+
+_PLAIN = "plain vmap of {}, jax.random in the step"
 
 ENV = hrl.make("Bus")
 HIERARCHY = ENV.hierarchy()
@@ -88,7 +93,7 @@ def native(case: str, cores: int, episodes: int, mapping: Any = "native", seeds:
         return int(curves["steps"].sum())
 
     run()
-    name = "hrljax native" if mapping == "native" else f"hrljax vmap of {seeds}"
+    name = "hrljax native" if mapping == "native" else f"hrljax lockstep of {seeds}"
     return Contestant(case, name, cores, run, run.seconds)
 
 
@@ -132,7 +137,7 @@ def by_numba(case: str, cores: int, episodes: int, looked_up: bool = False) -> C
     return Contestant(case, name, cores, run, time.perf_counter() - began)
 
 
-def plain_vmap(cores: int, episodes: int, seeds: int = 256) -> Contestant:
+def plain_vmap(cores: int, episodes: int, seeds: int) -> Contestant:
     """Q-learning as gymnax and purejaxrl users write it: vmap of a scan, keys split in the step."""
     steps = 2000 * episodes // 20_000
     params = ENV.default_params
@@ -164,7 +169,7 @@ def plain_vmap(cores: int, episodes: int, seeds: int = 256) -> Contestant:
         jax.block_until_ready(compiled(keys))
         return seeds * steps
 
-    return Contestant("Q-learning", f"plain vmap of {seeds}, jax.random in the step", cores, run, seconds)
+    return Contestant("Q-learning", _PLAIN.format(seeds), cores, run, seconds)
 
 
 def by_simple_rl(episodes: int) -> Contestant:
@@ -213,6 +218,14 @@ def report(rows: list[dict[str, Any]]) -> str:
         if row["contestant"] == "hrljax native" and row["cores"] > 1 and row["case"] in one:
             gain = row["value"] / one[row["case"]]["value"]
             lines.append(f"{row['case']}: {row['cores']} cores do {gain:.2f} times what one does")
+    by_name = {row["contestant"]: row for row in rows if row["case"] == "Q-learning"}
+    for seeds in _TOGETHER if "simple_rl, one Python call a step" in by_name else ():
+        ours = by_name[f"hrljax lockstep of {seeds}"]["per_cpu_second"]
+        plain = by_name[_PLAIN.format(seeds)]["per_cpu_second"]
+        lines.append(
+            f"Q-learning, {seeds} runs in lockstep: {ours:.1f} million steps a processor second, "
+            f"{ours / plain:.1f} times what plain vmap does"
+        )
     share = 1 - one["HORDQ(5)+model"]["value"] / one["HORDQ(5)+model, decisions only"]["value"]
     lines.append(f"HORDQ(5)+model: sweeps take {share:.0%} of the run")
     return "\n".join(lines)
@@ -225,8 +238,10 @@ def main(options: Options) -> None:
             contestants += [native(case, cores, options.episodes), by_numba(case, cores, options.episodes)]
         contestants.append(by_numba("Q-learning", cores, options.episodes, looked_up=True))
     if options.peers:
-        contestants.append(native("Q-learning", 1, options.episodes // 10, "vmap", seeds=64))
-        contestants += [plain_vmap(options.cores, options.episodes), by_simple_rl(options.episodes)]
+        for seeds in _TOGETHER:
+            contestants += [native(case, 1, options.episodes // 10, "vmap", seeds) for case in _IN_LOCKSTEP]
+            contestants.append(plain_vmap(options.cores, options.episodes, seeds))
+        contestants.append(by_simple_rl(options.episodes))
     rows = measure(contestants, options.rounds, "million steps/s", 1e6)
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "numba", "simple_rl"))
     print(report(rows))
