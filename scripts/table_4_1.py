@@ -73,7 +73,7 @@ def main(options: Options) -> int:
     program.write_summary(options.out, rows)
     (options.out / "table_4_1.csv").write_text(curves_csv(("", name, dataset) for name, dataset in curves.items()))
     mario_hybrid.counts_picture(rows).savefig(options.out / "table_4_1.png", dpi=110)
-    shown = {name: curves[name] for name in (*mario_hybrid.THESIS, *mario_hybrid.FOUND) if name in curves}
+    shown = {name: curves[name] for name in (*mario_hybrid.THESIS, *mario_hybrid.BY_SWEEPS) if name in curves}
     mario_hybrid.distance_picture(shown).savefig(options.out / "figure_4_5.png", dpi=110)
     print(mario_hybrid.table(rows))
     if options.film:
@@ -93,8 +93,8 @@ def _pictures(env: Mario, learner: RelationalHORDQ, options: Options) -> Iterato
 
 def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:
     """The learner of a row that has a root to look into; the model alone in place of SARSA."""
-    if name in mario_hybrid.FOUND:
-        return mario_hybrid.FOUND[name]
+    if name in mario_hybrid.BY_SWEEPS:
+        return mario_hybrid.BY_SWEEPS[name]
     named = {mario_hybrid.name_of(k): k for k in options.pseudo_rewards}
     return RelationalHORDQ(root, pseudo_reward=named.get(name, mario_hybrid.FOLLOWS))
 

@@ -70,7 +70,7 @@ BEST_LEARNED = RelationalHORDQ(
 )
 """The same with the thesis's 27 inputs and a learned model: whole plans on Orange's trees, with pessimism."""
 BEST_NAME = "best found"
-FOUND = {BEST_NAME: BEST, "best found, learned model": BEST_LEARNED}
+BY_SWEEPS = {BEST_NAME: BEST, "best found, learned model": BEST_LEARNED}
 """By name what was found by sweeps."""
 
 
@@ -92,7 +92,7 @@ def run(
     best: bool = False,
     **options: Any,
 ) -> Iterator[dict[str, xr.Dataset]]:
-    """Every method's curve, one bin an episode, sweep by sweep, `FOUND` at last; `options` as of `hrljax.sweep`.
+    """Every method's curve, one bin an episode, sweep by sweep, `BY_SWEEPS` at last; `options` as of `hrljax.sweep`.
 
     Ends with a sweep that was interrupted, of which it gives the methods that have finished runs.
     """
@@ -105,7 +105,7 @@ def run(
         curves = {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
         yield {name: curve for name, curve in curves.items() if curve["steps"].notnull().any()}
         complete = hybrid.attrs["complete"]
-    for name, learner in FOUND.items() if best else ():
+    for name, learner in BY_SWEEPS.items() if best else ():
         if complete:
             curves = sweep(env, learner, **common)
             yield {name: curves}

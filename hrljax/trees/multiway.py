@@ -248,7 +248,7 @@ def _pruned(limits: Limits, sample: Sample, nodes: Nodes, num_nodes: Array, prun
     def decide(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         words, errors = carry
         node = num_nodes - 1 - i
-        word, own = take(words, node), take(alone, node)
+        word, as_leaf = take(words, node), take(alone, node)
         first = word >> np.int32(LEFT_SHIFT)
         is_number = (word & np.int32(NUMBER)) != 0
         bits = lax.bitcast_convert_type(take(nodes.numbers, node), jnp.uint32)
@@ -256,9 +256,9 @@ def _pruned(limits: Limits, sample: Sample, nodes: Nodes, num_nodes: Array, prun
         is_child = np.arange(kinds, dtype=np.int32) < children
         of_children = exact_product(take_row(weights, first, kinds), take_row(errors, first, kinds), sample.zero)
         backed_up = total(jnp.where(is_child, of_children, np.float32(0)), kinds) / take(weights, node)
-        is_leaf = (word == LEAF) | (own < backed_up)
+        is_leaf = (word == LEAF) | (as_leaf < backed_up)
         words = put_row(words, node, lax.select(is_leaf, jnp.int32(LEAF), word)[None])
-        return words, put_row(errors, node, lax.select(is_leaf, own, backed_up)[None])
+        return words, put_row(errors, node, lax.select(is_leaf, as_leaf, backed_up)[None])
 
     start = (nodes.words, jnp.concatenate([alone, padding]))
     return lax.fori_loop(jnp.int32(0), num_nodes, decide, start)[0]
