@@ -6,6 +6,7 @@ need is computed for them alone. Outside of `vmap` they are the plain loops that
 """
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any, TypeVar
 
 import jax
@@ -117,3 +118,32 @@ def _for_each_true(flags: Array, function: Callable[[Array, T], T], value: T) ->
         return lax.while_loop(lambda carry: carry[0] != 0, lowest_bit, (masks[number], value))[1]
 
     return lax.fori_loop(0, len(masks), of_mask, value)
+
+
+def one_after_another(function: Callable[..., T]) -> Callable[..., T]:
+    """A function of pytrees of arrays that `vmap` computes on a CPU for one run after the other, not for all at once.
+
+    Suits what is full of loops and branches that differ from run to run.
+    """
+
+    @custom_vmap
+    def alone(*arguments: Any) -> T:
+        return function(*arguments)
+
+    @alone.def_vmap
+    def of_batch(size: int, batched: Any, *arguments: Any) -> tuple[Any, Any]:
+        leaves, tree = jax.tree.flatten(arguments)
+        is_batched = jax.tree.leaves(tuple(batched))
+        varying = [leaf for leaf, varies in zip(leaves, is_batched, strict=True) if varies]
+
+        def of_run(varying: list[Array]) -> T:
+            rest = iter(varying)
+            mixed = [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_batched, strict=True)]
+            return function(*jax.tree.unflatten(tree, mixed))
+
+        results = lax.platform_dependent(
+            cpu=lambda: lax.map(of_run, varying), default=lambda: jax.vmap(of_run, axis_size=size)(varying)
+        )
+        return results, jax.tree.map(lambda _: True, results)
+
+    return wraps(function)(lambda *arguments: alone(*arguments))

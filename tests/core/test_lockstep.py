@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from hrljax.core.lockstep import any_run, once_if
+from hrljax.core.lockstep import any_run, once_if, one_after_another
 
 SIZES = (1, 31, 32, 33, 70)
 
@@ -83,3 +83,19 @@ def test_on_a_cpu_only_those_that_need_it_are_computed(size: int):
     jax.block_until_ready(run(flags, np.arange(size, dtype=np.int32)))
     jax.effects_barrier()
     assert computed == np.flatnonzero(flags).tolist()
+
+
+@pytest.mark.parametrize("all_at_once", [False, True])
+def test_one_after_another_is_what_vmap_gives(all_at_once: bool, monkeypatch: pytest.MonkeyPatch):
+    if all_at_once:  # as on an accelerator
+        monkeypatch.setattr(lax, "platform_dependent", lambda *, cpu, default: default())
+    shared, own = np.arange(3, dtype=np.int32), {"x": np.arange(12, dtype=np.int32).reshape(4, 3), "n": np.int32(5)}
+
+    def function(shared: Any, own: dict[str, Any]) -> dict[str, Any]:
+        return {"sum": (shared * own["x"]).sum() + own["n"], "n": own["n"]}
+
+    axes = (None, {"x": 0, "n": None})
+    actual = jax.jit(jax.vmap(one_after_another(function), axes))(shared, own)
+    jax.tree.map(np.testing.assert_array_equal, actual, jax.vmap(function, axes)(shared, own))
+    alone = one_after_another(function)(shared, {"x": own["x"][2], "n": jnp.int32(5)})
+    assert alone["sum"] == actual["sum"][2]

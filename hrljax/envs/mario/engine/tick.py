@@ -1,9 +1,12 @@
 """One tick of the game (docs/mario_engine.md, "The tick")."""
 
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.lockstep import one_after_another
 from hrljax.envs.mario.engine.collision import Purse
 from hrljax.envs.mario.engine.contacts import strike_all, touch_all
 from hrljax.envs.mario.engine.course import Course
@@ -33,7 +36,12 @@ def tick(
         quantum: after the tick, positions and velocities are moved to the nearest multiple of
             1 / quantum pixels; None leaves them exact.
     """
-    late = jnp.asarray(out_of_time)
+    # Full of loops and rare parts, which a batch of games would all go through together.
+    one = one_after_another(partial(_tick, quantum))
+    return one(course, world, keys, jnp.asarray(out_of_time))
+
+
+def _tick(quantum: int | None, course: Course, world: World, keys: Array, late: Array) -> World:
     world = world._replace(player=die(world.player, late), paused=world.paused | late)
     limit = np.float32(course.num_columns * TILE - SCREEN_WIDTH)
     camera = world.player.x - np.float32(SCREEN_WIDTH // 2)
