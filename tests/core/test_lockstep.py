@@ -89,13 +89,13 @@ def test_on_a_cpu_only_those_that_need_it_are_computed(size: int):
 def test_one_after_another_is_what_vmap_gives(all_at_once: bool, monkeypatch: pytest.MonkeyPatch):
     if all_at_once:  # as on an accelerator
         monkeypatch.setattr(lax, "platform_dependent", lambda *, cpu, default: default())
-    shared, own = np.arange(3, dtype=np.int32), {"x": np.arange(12, dtype=np.int32).reshape(4, 3), "n": np.int32(5)}
+    shared, of_game = np.arange(3, dtype=np.int32), {"x": np.arange(12, dtype=np.int32).reshape(4, 3), "n": np.int32(5)}
 
-    def function(shared: Any, own: dict[str, Any]) -> dict[str, Any]:
-        return {"sum": (shared * own["x"]).sum() + own["n"], "n": own["n"]}
+    def function(shared: Any, of_game: dict[str, Any]) -> dict[str, Any]:
+        return {"sum": (shared * of_game["x"]).sum() + of_game["n"], "n": of_game["n"]}
 
     axes = (None, {"x": 0, "n": None})
-    actual = jax.jit(jax.vmap(one_after_another(function), axes))(shared, own)
-    jax.tree.map(np.testing.assert_array_equal, actual, jax.vmap(function, axes)(shared, own))
-    alone = one_after_another(function)(shared, {"x": own["x"][2], "n": jnp.int32(5)})
+    actual = jax.jit(jax.vmap(one_after_another(function), axes))(shared, of_game)
+    jax.tree.map(np.testing.assert_array_equal, actual, jax.vmap(function, axes)(shared, of_game))
+    alone = one_after_another(function)(shared, {"x": of_game["x"][2], "n": jnp.int32(5)})
     assert alone["sum"] == actual["sum"][2]
