@@ -21,7 +21,6 @@ from hrljax.envs.registry import make, register, registered  # noqa: E402
 from hrljax.hierarchy.definition import Abstraction, Hierarchy, Subtask  # noqa: E402
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover  # noqa: E402
 from hrljax.hierarchy.tables import tabulate  # noqa: E402
-from hrljax.interop.rollout import Rollout, rollout  # noqa: E402
 from hrljax.learners.dyna import DynaQ  # noqa: E402
 from hrljax.learners.fading import Fading  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
@@ -51,6 +50,7 @@ _sweeps.loops_are_native = lambda: _batch.resolve_mapping("auto") == "native"
 
 if _TYPE_CHECKING:
     from hrljax import plots, stats
+    from hrljax.interop.rollout import Rollout, rollout
 
 __all__ = [
     "HAMQ",
@@ -109,4 +109,6 @@ def __getattr__(name: str) -> _Any:
     """Loads what is slow to import when it is first used."""
     if name in ("plots", "stats"):
         return _import_module(f"hrljax.{name}")
+    if name in ("Rollout", "rollout"):
+        return getattr(_import_module("hrljax.interop.rollout"), name)
     raise AttributeError(f"module 'hrljax' has no attribute {name!r}")

@@ -174,6 +174,7 @@ def _mapped(frozen: _Frozen) -> "_Mapped":
 class _Mapped:
     """The runs of a job mapped over rows: for the shapes of a chunk, traced once and compiled once per process."""
 
+    @interrupts.postponed()
     def __init__(self, job: Job):
         assert job.mapping != "auto"
         group = batch.group_length(learned_bytes(job.env, job.learner))
