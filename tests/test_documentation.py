@@ -65,6 +65,7 @@ class Printed:
             assert set(printed) <= set(NUMBER.findall(comment[1])), f"{line}\nprints {values}"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Port 8787 is already in use")  # of Dask's pages
 @each_document
 def test_examples_run(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -6,12 +6,14 @@ import pytest
 from tests import fingerprint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in fingerprint.CASES if name not in fingerprint.LONG_TO_COMPILE])
 def test_results_are_as_recorded(name: str):
     """Those that compile for long are compared by ``python -m tests.fingerprint``, which names what differs, too."""
     assert not fingerprint.differences(fingerprint.recorded()[name], fingerprint.fingerprint(name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fingerprint.UNDER_VMAP_TOO)
 def test_the_other_mapping_gives_the_same(name: str):
     assert not fingerprint.differences(fingerprint.recorded()[name], fingerprint.fingerprint(name, "vmap"))

@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[1]
 FIGURE_4_2 = ROOT / "scripts" / "figure_4_2.py"
 
 
+@pytest.mark.slow
 def test_figure_4_2_writes_its_picture_its_table_and_its_summary(tmp_path: Path):
     """The only whole run: about half a minute, nearly all of it compilation of sixteen curves."""
     out = tmp_path / "new" / "folder"
@@ -115,6 +116,7 @@ def test_a_file_in_the_place_of_the_folder_is_told_by_the_program(tmp_path: Path
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_three_kinds_of_optimality_and_what_was_reached(tmp_path: Path):
     script, out = FIGURE_4_2.with_name("optimality.py"), tmp_path / "runs"
     options = ["--seeds", "5", "--domains", "Maze", "--out", str(out)]
@@ -131,6 +133,7 @@ def test_three_kinds_of_optimality_and_what_was_reached(tmp_path: Path):
     assert "recursively optimal" in done.stdout
 
 
+@pytest.mark.slow
 def test_how_good_advice_has_to_be(tmp_path: Path):
     script, out = FIGURE_4_2.with_name("advice_quality.py"), tmp_path / "runs"
     options = ["--seeds", "2", "--scale", "0.005", "--cores", "1", "--out", str(out)]

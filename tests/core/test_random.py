@@ -57,6 +57,7 @@ def test_words_gives_as_many_words_as_asked_for_and_no_spare_block(num_words: in
     assert 64 * (random.num_blocks(num_words) - 1) < WORD_BITS * num_words <= 64 * random.num_blocks(num_words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_words", range(1, 10))
 def test_a_word_block_holds_the_words_of_its_positions(num_words: int):
     length = 40

@@ -47,6 +47,7 @@ def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
         assert one[variable].notnull().all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_seed_has_one_result_under_every_mapping(name: str):
     """Native loops, all runs in step under `vmap`, and one run alone."""

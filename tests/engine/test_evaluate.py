@@ -144,6 +144,7 @@ def test_a_key_may_be_a_constant_of_the_compiled_function():
     chex.assert_trees_all_equal(jax.jit(evaluated)(key), jax.jit(lambda: evaluated(key))())
 
 
+@pytest.mark.slow
 def test_a_greedy_policy_goes_by_the_schedule_of_the_episode_that_it_is_asked_in():
     """Subtasks obey for 30 of 40 episodes: what is said of the last ones is said of a learner that is free."""
 

@@ -56,6 +56,7 @@ def steps(of: Simulator[Any], states: jax.Array, actions: jax.Array) -> Any:
     return run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_a_step_that_is_looked_up_is_the_step_that_is_computed(name: str, no_tables: Callable[[], None]):
     env = ENVIRONMENTS[name]
@@ -75,6 +76,7 @@ def test_a_step_that_is_looked_up_is_the_step_that_is_computed(name: str, no_tab
             np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mapping", ["native", "vmap"])
 def test_runs_do_not_depend_on_how_their_steps_are_found(mapping: Any, no_tables: Callable[[], None]):
     """A swept number of the environment is traced, so that its steps are computed."""

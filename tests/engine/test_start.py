@@ -38,6 +38,7 @@ def assert_same(one: Any, other: Any) -> None:
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_run_in_two_parts_is_the_run_in_one(name: str):
     env, learner = LEARNERS[name]

@@ -126,6 +126,7 @@ def drawing(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "tests_drawing", module)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_training_cannot_see_is_found(fault: str):
     attributes, error, message = FAULTS[fault]

@@ -59,6 +59,7 @@ def test_environments_are_made_by_name_and_refuse_what_they_do_not_know(name: st
         hrl.make(name, nonsense=1)
 
 
+@pytest.mark.slow
 @each_variant
 def test_the_environment_is_what_the_library_takes_it_for(variant: str):
     env, params = made(variant)

@@ -252,6 +252,7 @@ def ways_to_fail(env: Any) -> dict[str, Callable[[], Any]]:
     return ways | ({"model": env.model} if env.is_tabular else {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.usefixtures("nothing_compiles")
 def test_a_fault_is_named_by_whatever_uses_the_environment(fault: str):
@@ -368,6 +369,7 @@ def test_numbers_that_belong_to_no_state_may_lead_anywhere():
     assert not model.reward[2 * LENGTH :].any()
 
 
+@pytest.mark.slow
 def test_python_numbers_and_numpy_arrays_are_what_they_mean():
     """Flags, fields, cuts and numbers of states; and infos may tell more than metrics names."""
 

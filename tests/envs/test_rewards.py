@@ -72,6 +72,7 @@ def rewards_learned(env: Typed, way: str) -> np.ndarray:
     return hrl.sweep(env, LEARNER, seeds=1, axes=axes, **options)["learned"].values
 
 
+@pytest.mark.slow
 @given(dtype=st.sampled_from(DTYPES), seed=st.integers(0, 1000))
 @settings(deadline=None, max_examples=10, derandomize=True)
 def test_steps_have_the_rewards_of_the_model(dtype: str, seed: int):
@@ -96,6 +97,7 @@ def test_steps_have_the_rewards_of_the_model(dtype: str, seed: int):
         np.testing.assert_array_equal(taken, reward.ravel())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "way"), [*zip(DTYPES, cycle(WAYS), strict=False)])
 def test_what_is_learned_are_the_rewards_of_the_model(dtype: str, way: str):
     env = made(dtype, seed=len(dtype))

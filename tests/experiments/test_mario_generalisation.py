@@ -29,6 +29,7 @@ def test_what_is_played_was_not_trained_on():
     assert highest < generalisation.PLAYED_FROM
 
 
+@pytest.mark.slow
 def test_games_are_those_that_the_learned_policy_plays_step_by_step():
     root = hrl.SearchRoot(model=hrl.MarioDynamics(), priority="last_reward", answer="leaf", max_nodes=60)
     learner = hrl.RelationalHORDQ(root, pseudo_reward=10.0)
@@ -71,6 +72,7 @@ def test_rows_are_means_over_levels_and_intervals_over_seeds():
     assert [text.get_text() for text in figure.axes[0].texts] == ["150", "0"]
 
 
+@pytest.mark.slow
 def test_the_model_alone_is_not_trained(monkeypatch):
     monkeypatch.setattr(generalisation, "trained_tables", lambda *args, **kwargs: pytest.fail("trained"))
     played = generalisation.LevelSet((0,), (0,), each=1, first_seed=5)

@@ -33,6 +33,7 @@ def call(patch: pytest.MonkeyPatch, *options: object) -> object:
     return ended.value.code
 
 
+@pytest.mark.slow
 def test_the_script_writes_a_row_for_every_rule_and_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     options = ["--domains", "Maze", "--seeds", 3, "--scale", 0.05, "--cores", 1, "--out", tmp_path]
     assert call(monkeypatch, *options) == 0
@@ -84,6 +85,7 @@ def test_cases_are_what_they_are_called():
         assert (learners.keys() - {"shared", "apart"}) | swept == RULES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 3, 17])
 def test_random_tasks_keep_the_contract_and_differ(number: int):
     env, hierarchy = random_task(number)

@@ -45,6 +45,7 @@ def test_every_environment_passes_gymnasiums_checks(name: str):
     checked(f"hrljax/{name}-v0")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif("Mario" not in hrl.registered(), reason="Mario is not there")
 def test_mario_passes_gymnasiums_checks(quick_compiler: None):
     checked("hrljax/Mario-v0")

@@ -83,6 +83,7 @@ def test_every_environment_is_batched_as_it_is_alone(mode: AutoresetMode, name: 
     assert ends[1] >= 3
 
 
+@pytest.mark.slow
 def test_mario_is_batched_as_he_is_alone(quick_compiler: None):
     """In the mode that does the most: a program of his takes half a minute to compile."""
     actions, mode = hrl.make("Mario").num_actions, AutoresetMode.SAME_STEP

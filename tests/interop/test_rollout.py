@@ -62,6 +62,7 @@ def test_a_film_has_a_picture_of_every_state(tmp_path):
         assert (film.n_frames, film.info["duration"]) == (4, 500)
 
 
+@pytest.mark.slow
 def test_mario_is_played_by_a_function_of_its_state():
     env = hrl.make("Mario")
     rolled = hrl.rollout(env, lambda state: env.num_actions - 1, max_steps=2)

@@ -214,6 +214,7 @@ def in_python(learner: Any, bus: PythonBus) -> Any:
     return program
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_run_gives_the_numbers_of_plain_python(name: str, bus: Bus):
     learner = LEARNERS[name]

@@ -46,6 +46,7 @@ LEARNERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
 def test_to_multiply_all_rewards_by_a_number_changes_no_choice(name: str):
     learner = LEARNERS[name]
@@ -59,6 +60,7 @@ def test_to_multiply_all_rewards_by_a_number_changes_no_choice(name: str):
     assert len(np.unique(one["length"])) > 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
 def test_both_numbers_can_be_swept_under_every_mapping(name: str):
     axes = {"pseudo_reward.worth": [0.0, 30.0], "pseudo_reward.after": [1.0, 50.0]}

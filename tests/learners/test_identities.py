@@ -205,6 +205,7 @@ def test_maxq_splits_the_second_completion_of_dietterich():
         assert effect > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["step_size", "epsilon"])
 def test_a_constant_schedule_is_its_number(name: str):
     number, schedule = (hrljax.QLearning(**{name: value}) for value in (0.25, optax.constant_schedule(0.25)))

@@ -20,6 +20,7 @@ def over_actions(name: str, children: tuple[str, ...] = GRID.action_names) -> Su
     return Subtask(name, children, lambda state: jnp.bool_(False))
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping_and_a_second_sweep_traces_nothing(monkeypatch: pytest.MonkeyPatch):
     def swept(mapping: str, **options: Any) -> Any:
         learner = hrljax.HORDQ(TAXI.hierarchy(), pseudo_reward=4.0, discount=0.95, epsilon=0.4)

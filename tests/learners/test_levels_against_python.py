@@ -174,6 +174,7 @@ def both(name: str) -> tuple[hrljax.Run, Walk]:
     return run, train_in_python(program, outcomes(domain), EPISODES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_run_gives_the_numbers_of_plain_python(name: str):
     run, walk = both(name)

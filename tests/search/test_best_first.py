@@ -179,6 +179,7 @@ SETTINGS: dict[str, tuple[int, dict[str, Any]]] = {
 MODELS = 112  # more than 1,000 in all
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETTINGS)
 def test_every_node_is_that_of_plain_python_under_both_mappings(name: str):
     num_actions, options = SETTINGS[name]

@@ -101,6 +101,7 @@ def test_no_policy_is_worse_than_the_least_value(seed: int, discount: float):
         assert sweeps.Backup.of(model, 1.0).least_value(1.0) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("discount", [0.5, 0.99, 1.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_policies_evaluated_by_sweeps_lead_to_the_same_optimum(seed: int, discount: float):

@@ -84,6 +84,7 @@ def expected_return(env: Any, policy: Policy, params: Any) -> float:
     return sum(float(starts[s]) * value((), int(s)) for s in np.flatnonzero(starts))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_policy_is_worth_what_its_learner_says(name: str):
     env, learner = LEARNERS[name]

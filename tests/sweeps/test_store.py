@@ -71,6 +71,7 @@ def lives(path: Path, *instants: float) -> list[str]:
     return subprocess.run(program, **options).stdout.split()
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_killed_again_and_again_ends_as_one_that_is_not(whole: Path, tmp_path: Path):
     """Every life ends before some call that changes the disk; the next one goes on from there."""
     draw, path = random.Random(0), tmp_path / "x.zarr"

@@ -49,6 +49,7 @@ class WithRootsWord(hrl.QLearning):
         return super().learn(prepared, state, transition, words[1:], context)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("root", [hrl.RandomRoot(), hrl.ModelRoot(interval=3, sweeps=2), GradedRoot(-0.5)], ids=str)
 @pytest.mark.parametrize("taught", ["running", "active"])
 def test_without_a_pseudo_reward_it_is_flat_q_learning_on_the_same_words(root: Any, taught: Any):
@@ -100,6 +101,7 @@ ROOTS = {"random": hrl.RandomRoot(), "adversary": GradedRoot(-1.0), "planner": h
 PSEUDO_REWARDS = {"3": 3.0, "-7": -7.0, "1000": 1000.0, "fading": hrl.Fading(worth=50.0, after=3.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("root", ROOTS)
 @pytest.mark.parametrize("pseudo_reward", PSEUDO_REWARDS)
 def test_with_any_pseudo_reward_it_is_q_learning_on_the_same_transitions(root: str, pseudo_reward: str):
@@ -110,6 +112,7 @@ def test_with_any_pseudo_reward_it_is_q_learning_on_the_same_transitions(root: s
     assert len(np.unique(flat)) > 100
 
 
+@pytest.mark.slow
 @given(problem=problems(levels=(2, 3, 4), discounts=(0.9, 1.0)), seed=st.integers(0, 2**31 - 1), taught=st.booleans())
 @settings(deadline=None, max_examples=8)
 def test_on_random_hierarchies_too(problem: Problem, seed: int, taught: bool):
@@ -122,6 +125,7 @@ def test_on_random_hierarchies_too(problem: Problem, seed: int, taught: bool):
     np.testing.assert_array_equal(of_all(tables, env), flat)
 
 
+@pytest.mark.slow
 def test_a_subtask_is_worth_what_its_own_choice_is():
     """Theorem 1: Q(i, s, c) of a subtask c is Q(c, s, a) of what c would do, down to an action."""
     problem = random_problem(np.random.default_rng(4), 4, num_states=10)

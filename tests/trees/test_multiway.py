@@ -176,6 +176,7 @@ def mixed(seed: int, rows: int, targets: int) -> tuple[np.ndarray, np.ndarray]:
     return inputs, values[:, :targets].astype(F)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(sorted(TWINS)), targets=st.sampled_from([1, 3]))
 @settings(deadline=None, max_examples=60, derandomize=True)
 def test_equal_to_a_plain_program(seed: int, name: str, targets: int):
@@ -185,6 +186,7 @@ def test_equal_to_a_plain_program(seed: int, name: str, targets: int):
     assert_same(as_dict(trees, MIXED), plain(TWINS[name], inputs, values.astype(float), scale))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(TWINS))
 def test_weights_are_repeated_rows(name: str):
     """Bit for bit, with targets whose sums are exact."""
@@ -213,6 +215,7 @@ def fit_groups(data: tuple[Any, ...]) -> Any:
     return trees, [predict(trees, data[0][0], g) for g in range(5)]
 
 
+@pytest.mark.slow
 def test_mappings_agree_bit_for_bit():
     data = [grouped(seed) for seed in range(3)]
     stacked = tuple(map(jnp.stack, zip(*data, strict=True)))
@@ -223,6 +226,7 @@ def test_mappings_agree_bit_for_bit():
         jax.tree.map(np.testing.assert_array_equal, one(each), jax.tree.map(lambda leaf, i=i: leaf[i], results[0]))
 
 
+@pytest.mark.slow
 def test_groups_are_trees_of_their_own():
     """Rows beyond the count, and those of other groups, are as if they were not there."""
     inputs, values, weights, group = grouped(5)

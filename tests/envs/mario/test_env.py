@@ -38,6 +38,7 @@ def step(state: Episode, action: int = RIGHT_JUMP_SPEED, **changes: float):
     return state, float(reward), bool(terminated), {name: bool(value) for name, value in info.items()}
 
 
+@pytest.mark.slow
 def test_the_first_observation():
     state = first()
     assert (int(state.time), int(state.phase), int(state.world.level)) == (0, PLAYING, 0)
@@ -55,6 +56,7 @@ def test_words_choose_every_level():
     assert [int(first(level).world.level) for level in range(3)] == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_rewards_by_hand():
     state = first()
     after, reward, terminated, info = step(state, step_reward=-0.5, displacement_reward=2.0)

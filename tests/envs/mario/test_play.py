@@ -26,6 +26,7 @@ LEVEL = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_runner_jumps_over_a_pit_and_wins_and_the_film_shows_every_tick():
     env = Mario(levels=(LEVEL,), preset="competition", actions="all")
     steps = list(play(env, runner_policy(env.course)))

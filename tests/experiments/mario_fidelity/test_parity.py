@@ -22,10 +22,12 @@ def differences(verdicts) -> list[str]:
     return [v.first_difference for v in verdicts if v.first_difference]
 
 
+@pytest.mark.slow
 def test_recorded_ticks():
     assert differences(parity.check_trajectories(TRAJECTORIES)) == []
 
 
+@pytest.mark.slow
 def test_recorded_steps():
     assert differences(parity.check_episodes(EPISODES)) == []
 
@@ -118,6 +120,7 @@ def test_a_changed_step_is_found(field: str, change: float, text: str, short_epi
     assert "after step 2 " + text in verdict.first_difference
 
 
+@pytest.mark.slow
 def test_a_game_on_a_lattice_and_its_drift(short_game):
     course, index, game = short_game
     record = parity.replay(course, index, game, quantum=8)

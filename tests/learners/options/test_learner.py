@@ -197,6 +197,7 @@ def test_an_intra_option_update_by_hand():
     assert (control.option, control.action) == (GO, EAST)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("update", ["smdp", "intra_option"])
 def test_four_rooms_are_solved_and_every_mapping_gives_one_result(update: Any):
     """With steps of 1 in a deterministic world, values become those of the shortest path: 20 moves."""

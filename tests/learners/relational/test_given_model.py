@@ -41,6 +41,7 @@ def both(state: Any, ahead: Any, action: jax.Array) -> Any:
     return after, reward, terminated, info, from_here, promised, model(ahead, action)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "seed", "end"), [(FAR, 0, "death"), (FAR, 1, "death"), (NEAR, 3, "win")])
 def test_a_look_ahead_is_what_the_engine_does(number: int, seed: int, end: str):
     """Bit for bit, in position, in every field of Mario and in reward, to the end of the episode and beyond."""
@@ -65,6 +66,7 @@ def test_a_look_ahead_is_what_the_engine_does(number: int, seed: int, end: str):
     assert float(both(state, ahead, jnp.int32(0))[-1][1]) == 0
 
 
+@pytest.mark.slow
 def test_the_end_pays_what_the_preset_says():
     """Running into the pit costs a death on the way down, once."""
     state = begin(ENV.course, FAR)
@@ -80,6 +82,7 @@ def test_the_end_pays_what_the_preset_says():
     assert (np.asarray(rewards)[np.argmin(rewards) + 1 :] == 0).all()
 
 
+@pytest.mark.slow
 def test_a_root_with_it_clears_the_level():
     learner = hrl.RelationalHORDQ(
         hrl.SearchRoot(model=MarioDynamics(), priority="last_reward", answer="leaf"), pseudo_reward=1e6, epsilon=0.0

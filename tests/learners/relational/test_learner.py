@@ -100,6 +100,7 @@ class PythonSARSA:
         return action
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{}, {"trace_length": 5, "trace_decay": 0.8}], ids=["one step", "accumulating traces"]
 )
@@ -191,6 +192,7 @@ def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Recorded, monk
     assert loops == ["while", "scan"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, {"offsets": True, "below": True}], ids=["thesis", "offsets and below"])
 def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk: Recorded, more: dict[str, Any]):
     """With a leaf for every transition the model gives back what it has seen."""
@@ -214,6 +216,7 @@ def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk:
     assert np.median(np.abs(errors), axis=0).max() < 0.05
 
 
+@pytest.mark.slow
 def test_pessimism_takes_off_what_was_not_met(walk: Recorded):
     model = hrl.MarioModel(rows=32, pessimism=2.0)
     plain = dataclasses.replace(model, pessimism=0.0)

@@ -45,6 +45,7 @@ def observed(model: MultiwayModel, walks: list[list[Transition]], learns: bool =
     return tables
 
 
+@pytest.mark.slow
 def test_equal_transitions_are_one_row_with_a_weight(walk: list[Transition]):
     tables = observed(MODEL, [walk, walk[:5], walk])
     kept = tables.replay
@@ -79,6 +80,7 @@ def test_what_comes_when_all_rows_are_taken_is_forgotten(walk: list[Transition])
     np.testing.assert_array_equal(full.values[: 8 * width], whole.values[: 8 * width])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loops", ["jit", "native"])
 def test_what_was_met_comes_back_exactly_and_the_last_step_is_an_end(walk: list[Transition], loops: str):
     tables = observed(MODEL, [walk])

@@ -43,6 +43,7 @@ def random_keys(seed: int, ticks: int = TICKS, hold: int = 5) -> np.ndarray:
     return np.repeat(keys, hold)[:ticks].astype(np.int32)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(
     st.integers(0, NUM_LEVELS - 1), st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 2]), st.sampled_from([1, 5, 20])
@@ -72,6 +73,7 @@ def test_laws_of_every_game(course: Course, level: int, seed: int, mode: int, ho
         assert (np.diff(serials[in_use]) != 0).all()
 
 
+@pytest.mark.slow
 def test_same_alone_and_in_a_batch(course: Course):
     levels = np.array([1, 3, 6, 11], np.int32)
     keys = np.stack([random_keys(seed, 160) for seed in range(len(levels))])
