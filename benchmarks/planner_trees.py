@@ -4,6 +4,7 @@ The game is a stand-in with the shape of thesis 4.2.3: nine actions, a screen of
 inputs of a 5 x 5 patch and two speeds, four trees an action and one for the reward.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -116,23 +117,28 @@ def packed(fitted: list[DecisionTreeRegressor]) -> Trees:
 
 
 def model(trees: Trees, screen: Array) -> Callable[[Node, Array], tuple[Node, Array]]:
-    """The trees as a model for `hrljax.search.best_first`: five descents at a time."""
+    """The trees as a model for `hrljax.search.best_first`: five descents side by side."""
     num_trees, capacity = trees.words.shape
     words, numbers = (values.reshape(-1) for values in trees)
 
-    def read(values: Array, index: Array) -> Array:
-        return values.at[index].get(mode="promise_in_bounds")
+    def descend(chosen: list[Array], inputs: Array) -> list[Array]:
+        """Side by side, so that one descent goes on while another waits for memory; down to the leaf of the last."""
+        roots = [tree * np.int32(capacity) for tree in chosen]
 
-    def descend(chosen: Array, inputs: Array) -> Array:
-        roots = chosen * np.int32(capacity)
+        def level(carry: tuple[list[Array], list[Array]]) -> tuple[list[Array], list[Array]]:
+            places, at = carry
+            after = []
+            for root, place, word in zip(roots, places, at, strict=True):
+                is_right = take(inputs, word & np.int32(0xFF)) > take(numbers, place)
+                child = root + (word >> np.int32(8)) + is_right.astype(jnp.int32)
+                after.append(lax.select(word == 0, place, child))
+            return after, [take(words, place) for place in after]
 
-        def level(_: Array, place: Array) -> Array:
-            word = read(words, place)
-            is_right = read(inputs, word & np.int32(0xFF)) > read(numbers, place)
-            child = roots + (word >> np.int32(8)) + is_right.astype(jnp.int32)
-            return lax.select(word == 0, place, child)
+        def is_inside(carry: tuple[list[Array], list[Array]]) -> Array:
+            return functools.reduce(jnp.bitwise_or, carry[1]) != 0
 
-        return read(numbers, lax.fori_loop(0, MAX_DEPTH, level, roots))
+        places, _ = lax.while_loop(is_inside, level, (roots, [take(words, root) for root in roots]))
+        return [take(numbers, place) for place in places]
 
     def step(node: Node, action: Array) -> tuple[Node, Array]:
         row = jnp.clip(jnp.round(node.y).astype(jnp.int32), 0, HEIGHT - 1)
@@ -140,9 +146,8 @@ def model(trees: Trees, screen: Array) -> Callable[[Node, Array], tuple[Node, Ar
         patch = lax.dynamic_slice(screen, (row.astype(jnp.uint32), column.astype(jnp.uint32)), (PATCH, PATCH))
         speeds = jnp.stack([node.dx, node.dy, action.astype(jnp.float32)])
         inputs = jnp.concatenate([patch.reshape(-1), speeds])
-        motion_trees = action * np.int32(4) + np.arange(4, dtype=np.int32)
-        actual = descend(jnp.concatenate([motion_trees, jnp.full(1, num_trees - 1, jnp.int32)]), inputs)
-        move_x, move_y, dx, dy, reward = (take(actual, jnp.int32(i)) for i in range(5))
+        motion = [action * np.int32(4) + np.int32(i) for i in range(4)]
+        move_x, move_y, dx, dy, reward = descend([*motion, jnp.int32(num_trees - 1)], inputs)
         return Node(node.x + move_x, node.y + move_y, dx, dy), reward
 
     return step

@@ -5,9 +5,10 @@ pass to the left. The test is the one that reduces the variance of the target mo
 the middle between two values of the data. Thesis 4.2.3 learns Mario's movements and rewards with them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, reduce
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -148,22 +149,54 @@ def predict(trees: Trees, inputs: Array, *index: Array | int) -> Array:
         inputs: ``[F]`` float32.
         index: which tree (int32 scalars, one for every leading axis of the arrays of `trees`).
     """
-    words, numbers = (values.reshape(-1) for values in trees)
-    base = jnp.int32(0)
-    for i, size in zip(index, trees.words.shape, strict=False):
+    return predict_all([Descent(trees, inputs, index)])[0]
+
+
+class Descent(NamedTuple):
+    """A prediction that is asked for: arguments as of `predict`."""
+
+    trees: Trees
+    inputs: Array
+    which: tuple[Array | int, ...]  # see `index` there
+
+
+_Places: TypeAlias = tuple[list[Array], list[Array]]
+"""Of every descent the node that it is in, and the word there."""
+
+
+def predict_all(descents: Sequence[Descent]) -> list[Array]:
+    """Several predictions, float32 scalars.
+
+    They are made side by side: a descent waits for memory at every node, and in the meantime the others go on.
+    """
+    tables = [tuple(values.reshape(-1) for values in descent.trees) for descent in descents]
+    roots = [_root(descent) for descent in descents]
+
+    def descend(carry: _Places) -> _Places:
+        nodes, words = [], []
+        for descent, (of_words, of_numbers), root, node, word in zip(descents, tables, roots, *carry, strict=True):
+            value = take(descent.inputs, word & np.int32((1 << INPUT_BITS) - 1))
+            number = take(of_numbers, node)
+            passes = lax.select((word & np.int32(EQUALS)) != 0, value == number, value < number)
+            child = root + (word >> np.int32(LEFT_SHIFT)) + 1 - passes.astype(jnp.int32)
+            nodes.append(lax.select(word == LEAF, node, child))
+            words.append(take(of_words, nodes[-1]))
+        return nodes, words
+
+    def is_inside(carry: _Places) -> Array:
+        return reduce(jnp.logical_or, [word != LEAF for word in carry[1]])
+
+    first = [take(of_words, root) for (of_words, _), root in zip(tables, roots, strict=True)]
+    nodes, _ = lax.while_loop(is_inside, descend, (roots, first))
+    return [take(of_numbers, node) for (_, of_numbers), node in zip(tables, nodes, strict=True)]
+
+
+def _root(descent: Descent) -> Array:
+    """The number of the root in the vector of all nodes."""
+    shape, base = descent.trees.words.shape, jnp.int32(0)
+    for i, size in zip(descent.which, shape, strict=False):
         base = base * np.int32(size) + jnp.asarray(i, jnp.int32)
-    base = base * np.int32(trees.words.shape[-1])
-
-    def descend(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        node, word = carry
-        value = take(inputs, word & np.int32((1 << INPUT_BITS) - 1))
-        number = take(numbers, node)
-        passes = lax.select((word & np.int32(EQUALS)) != 0, value == number, value < number)
-        node = base + (word >> np.int32(LEFT_SHIFT)) + 1 - passes.astype(jnp.int32)
-        return node, take(words, node)
-
-    node, _ = lax.while_loop(lambda carry: carry[1] != LEAF, descend, (base, take(words, base)))
-    return take(numbers, node)
+    return base * np.int32(shape[-1])
 
 
 def _grouped(group: Array, count: Array, num_groups: int) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from jax import Array, lax
 from hrljax.core.counting import one_more
 from hrljax.learners.relational.screen_model import NUM_CHANGES, Experience, Foreseen, ScreenModel
 from hrljax.trees.inputs import MAX_BINS
-from hrljax.trees.regression_tree import MAX_DEPTH, RegressionTree, Trees, predict
+from hrljax.trees.regression_tree import MAX_DEPTH, Descent, RegressionTree, Trees, predict_all
 from hrljax.trees.rows import MAX_ROWS
 
 
@@ -111,6 +111,7 @@ class MarioModel(ScreenModel):
         return Learned(motion, reward)
 
     def foreseen(self, learned: Learned, inputs: Array, action: Array) -> Foreseen:
-        change = [predict(learned.motion, inputs, action, k) for k in range(NUM_CHANGES)]
+        motion = [Descent(learned.motion, inputs, (action, k)) for k in range(NUM_CHANGES)]
         with_action = jnp.concatenate([inputs, action.astype(jnp.float32)[None]])
-        return Foreseen(change, predict(learned.reward, with_action, 0, 0), False)
+        *change, reward = predict_all([*motion, Descent(learned.reward, with_action, (0, 0))])
+        return Foreseen(change, reward, False)
