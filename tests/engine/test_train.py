@@ -1,5 +1,6 @@
 """`train` under jit and vmap: which numbers may be traced, and what is said of the others."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -66,7 +67,9 @@ def test_numbers_of_numpy_are_those_of_python():
     actual = jax.make_jaxpr(
         lambda: trained(hrljax.QLearning(discount=np.array(1.0)), np.int32(3), bin_size=np.array(2))
     )()
-    assert str(actual) == str(expected)
+    # Some versions of JAX print where a function lies in memory.
+    address = re.compile("0x[0-9a-f]+")
+    assert address.sub("", str(actual)) == address.sub("", str(expected))
 
 
 def test_a_sweep_of_numpys_numbers_fits_into_a_store(tmp_path: Any):
