@@ -10,7 +10,6 @@ all of them; the median is reported. Compile time is apart.
     pip install -e '.[bench]' && python benchmarks/bus.py --json bus.json
 """
 
-import json
 import platform
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -37,10 +36,10 @@ program.require("bench", "numba", "simple_rl")
 
 try:
     from benchmarks import numba_bus
-    from benchmarks.rounds import Contestant, measure
+    from benchmarks.rounds import Contestant, measure, save
 except ModuleNotFoundError:
     import numba_bus
-    from rounds import Contestant, measure
+    from rounds import Contestant, measure, save
 
 _SEEDS = 8
 """Runs a core of a contestant in a round."""
@@ -246,9 +245,7 @@ def main(options: Options) -> None:
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "numba", "simple_rl"))
     print(report(rows))
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    save(rows, options.json)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ that are not installed are left out, and said so. gymnax caps jax and forgets `s
     pip install -e . gymnax six && python benchmarks/environments.py --json with_gymnax.json
 """
 
-import json
 import platform
 import time
 from collections.abc import Callable
@@ -32,9 +31,9 @@ from hrljax.engine import batch
 from hrljax.envs.base import AnyEnvironment
 
 try:
-    from benchmarks.rounds import Contestant, measure
+    from benchmarks.rounds import Contestant, measure, save
 except ModuleNotFoundError:
-    from rounds import Contestant, measure
+    from rounds import Contestant, measure, save
 
 _GYMNAX = ("FrozenLake-misc", "FourRooms-misc")
 _GYMNASIUM = ("Taxi", "FrozenLake", "CliffWalking")
@@ -186,9 +185,7 @@ def main(options: Options) -> None:
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")
     if missing:
         print(f"not installed, and left out: {', '.join(missing)}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    save(rows, options.json)
 
 
 if __name__ == "__main__":

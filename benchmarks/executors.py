@@ -7,7 +7,6 @@ on a busy machine what a free one would give: twice the cores are worth the rati
     python benchmarks/executors.py --json executors.json
 """
 
-import json
 import platform
 import statistics
 import time
@@ -23,6 +22,11 @@ import tyro
 import hrljax as hrl
 from hrljax.engine import batch
 from hrljax.sweeps import processes
+
+try:
+    from benchmarks.rounds import save
+except ModuleNotFoundError:
+    from rounds import save
 
 ENV = hrl.make("Bus")
 LEARNER = hrl.QLearning(initial_value=-25.0)
@@ -116,10 +120,8 @@ def main(options: Options) -> None:
                 {"case": "Q-learning", "contestant": f"hrljax {name}", "cores": cores, "value": value, "unit": unit}
             )
             print(f"{name:10} {cores:3} cores {value / 1e6:8.2f} million {unit}")
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        machine = {"machine": platform.processor() or platform.machine(), "python": platform.python_version()}
-        options.json.write_text(json.dumps([{**row, "compile_seconds": None, **machine} for row in rows], indent=1))
+    machine = {"machine": platform.processor() or platform.machine(), "python": platform.python_version()}
+    save([{**row, "compile_seconds": None, **machine} for row in rows], options.json)
 
 
 if __name__ == "__main__":

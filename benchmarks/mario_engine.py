@@ -27,7 +27,6 @@ not inflate; a tick costs about 0.5 microseconds):
     python benchmarks/mario_engine.py --json mario_engine.json
 """
 
-import json
 import platform
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -52,9 +51,9 @@ from hrljax.envs.mario.engine.tick import tick
 from hrljax.envs.mario.levels.generator import generate_level
 
 try:
-    from benchmarks.rounds import Contestant, measure
+    from benchmarks.rounds import Contestant, measure, save
 except ModuleNotFoundError:
-    from rounds import Contestant, measure
+    from rounds import Contestant, measure, save
 
 CASE = "Mario, type 0, difficulty 3"
 NUM_LEVELS, FIRST_SEED, LONGEST = 50, 1247, 2000
@@ -178,9 +177,7 @@ def main(options: Options) -> None:
     print(report(rows))
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib"))
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    save(rows, options.json)
 
 
 if __name__ == "__main__":

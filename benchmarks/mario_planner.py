@@ -13,7 +13,6 @@ machines are shared; all run in turns, round after round, and the median is repo
 
 import heapq
 import importlib.util
-import json
 import platform
 import statistics
 import time
@@ -37,9 +36,11 @@ program.require("bench", "numba", "sklearn")
 
 try:
     from benchmarks import numba_planner, planner_trees
+    from benchmarks.rounds import save
 except ModuleNotFoundError:
     import numba_planner
     import planner_trees
+    from rounds import save
 
 DEPTH = 6
 CASES: dict[str, dict[str, Any]] = {
@@ -269,9 +270,7 @@ def main(options: Options) -> None:
     names = [name for name in ("jax", "jaxlib", "numba", "scikit-learn", "mctx") if _installed(name)]
     versions = ", ".join(f"{name} {version(name)}" for name in names)
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    save(rows, options.json)
 
 
 def _installed(name: str) -> bool:

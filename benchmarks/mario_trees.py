@@ -9,7 +9,6 @@ with a branch for every category, is run where it is installed. All run in turns
     python benchmarks/mario_trees.py --recordings rl_steps.npz --json mario_trees.json
 """
 
-import json
 import platform
 import statistics
 import time
@@ -40,6 +39,11 @@ try:
     import Orange  # pyright: ignore[reportMissingImports]
 except ImportError:
     Orange = None
+
+try:
+    from benchmarks.rounds import save
+except ModuleNotFoundError:
+    from rounds import save
 
 NUM_ACTIONS = len(ALL_ACTIONS)
 MOVES = RegressionTree(INPUT_CATEGORIES, max_depth=12, min_leaf=5)
@@ -221,9 +225,7 @@ def main(options: Options) -> None:
     print("\n".join(f"{r['case']:36}{r['contestant']:36}{r['value']:14.4g} {r['unit']}" for r in rows))
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "scikit-learn"))
     print(f"median of {options.rounds} rounds; Python {platform.python_version()}, {versions}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=1, default=float) + "\n")
+    save(rows, options.json)
 
 
 if __name__ == "__main__":

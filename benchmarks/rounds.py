@@ -1,9 +1,11 @@
 """Contestants that run in turns, round after round, so that a change of the machine's speed meets all of them."""
 
+import json
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 
@@ -16,6 +18,13 @@ class Contestant:
     cores: int
     run: Callable[[], int]
     compile_seconds: float = 0.0
+
+
+def save(rows: list[dict[str, Any]], path: Path | None) -> None:
+    """Writes the rows as JSON, if there is a path."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(rows, indent=1, default=float) + "\n")
 
 
 def measure(contestants: list[Contestant], rounds: int, unit: str, unit_size: float = 1.0) -> list[dict[str, Any]]:

@@ -12,7 +12,6 @@ computed in NumPy. Everybody but `policy_iteration` is asked for 1e-3.
     pip install -e '.[bench]' && python benchmarks/solvers.py --json solvers.json
 """
 
-import json
 import os
 import platform
 import time
@@ -39,9 +38,9 @@ from hrljax.solvers import Model
 program.require("bench", "mdpsolver", "quantecon", "jaxdp")
 
 try:
-    from benchmarks.rounds import Contestant, measure
+    from benchmarks.rounds import Contestant, measure, save
 except ModuleNotFoundError:
-    from rounds import Contestant, measure
+    from rounds import Contestant, measure, save
 
 _DISCOUNT = 0.99
 _ACCURACY = 1e-3
@@ -250,9 +249,7 @@ def main(options: Options) -> None:
     print(report(rows))
     versions = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "mdpsolver", "quantecon", "jaxdp"))
     print(f"median of {options.rounds} rounds, one core; Python {platform.python_version()}, {versions}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    save(rows, options.json)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ need is computed for them alone. Outside of `vmap` they are the plain loops that
 """
 
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from typing import Any, TypeVar
 
 import jax
@@ -17,6 +17,7 @@ from jax.custom_batching import custom_vmap
 from jax.extend.core import jaxpr_as_fun
 
 from hrljax.core.flags import choose
+from hrljax.core.numerics import of_every_run
 
 T = TypeVar("T")
 _BITS = 32
@@ -67,11 +68,8 @@ def once_if(condition: Array, update: Callable[[T], T], value: T) -> T:
     def of_batch(
         size: int, batched: Any, condition: Array, fixed: tuple[list[Array], list[Array]], changed: list[Array]
     ) -> tuple[list[Array], list[bool]]:
-        def spread(leaf: Array, is_batched: bool) -> Array:
-            return leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape))
-
-        conditions = spread(condition, batched[0])
-        changed = list(map(spread, changed, batched[2]))
+        spread = partial(of_every_run, size)
+        conditions, changed = spread(condition, batched[0]), list(map(spread, changed, batched[2]))
 
         def one_by_one() -> list[Array]:
             def of_run(run: Array, changed: list[Array]) -> list[Array]:

@@ -6,7 +6,7 @@ depending on how it cut the program into kernels. Two mappings of one function (
 """
 
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import partial, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -65,10 +65,7 @@ def put_rows(table: Array, starts: Sequence[Array], rows: Sequence[Array]) -> Ar
     def write_each(
         size: int, batched: list[Any], table: Array, starts: list[Array], rows: list[Array]
     ) -> tuple[Array, bool]:
-        def spread(leaf: Array, is_batched: bool) -> Array:
-            return leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape))
-
-        table, starts, rows = jax.tree.map(spread, (table, starts, rows), tuple(batched))
+        table, starts, rows = jax.tree.map(partial(of_every_run, size), (table, starts, rows), tuple(batched))
         flat, lengths = table.reshape(-1), [row.shape[1] for row in rows]
         places = [_places(table, start, length) for start, length in zip(starts, lengths, strict=True)]
 
@@ -93,6 +90,11 @@ def put_rows(table: Array, starts: Sequence[Array], rows: Sequence[Array]) -> Ar
         return written.reshape(table.shape), True
 
     return write(table, [start.astype(jnp.uint32) for start in starts], list(rows))
+
+
+def of_every_run(size: int, leaf: Array, is_batched: bool) -> Array:
+    """What `vmap` gives a rule, with a leading axis of runs in any case."""
+    return leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape))
 
 
 def _places(tables: Array, starts: Array, length: int) -> Array:

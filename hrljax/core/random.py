@@ -67,6 +67,19 @@ def check_key(key: object) -> None:
         raise ValueError(f"key must be a single key, got an array of keys of shape {key.shape}; map over it")
 
 
+def as_key(key: object) -> Array:
+    """A new-style key: the one that is given, or that of an integer, as ``jax.random.key`` makes it.
+
+    Raises:
+        TypeError, ValueError: it is neither.
+    """
+    if checks.is_number(key, np.integer):
+        return jax.random.key(checks.integer("key", key, 0, 2**32 - 1))
+    check_key(key)
+    assert isinstance(key, jax.Array)
+    return key
+
+
 def num_blocks(num_words: int) -> int:
     """How many Threefry blocks (64 bits each) hold `num_words` words.
 

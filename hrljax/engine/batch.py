@@ -84,7 +84,7 @@ def _native_lockstep() -> bool:
 
 def group_length(table_bytes: int) -> int:
     """How many runs go together under `vmap` on a CPU, whose tables take so many bytes each."""
-    return max(_SMALLEST_GROUP, min(_GROUP, _GROUP_BYTES // table_bytes))
+    return max(_SMALLEST_GROUP, min(_GROUP, _GROUP_BYTES // max(table_bytes, 1)))
 
 
 def _in_groups(function: Callable[[Any], Any], most: int) -> Callable[[Any], Any]:

@@ -87,19 +87,10 @@ class Lockstep(Trainer):
         context = Context(loop.episode, live, zero_of(loop), self.in_lockstep)
         before = Stretch(loop.learner, loop.state, loop.reward, loop.reports, now.tally)
         after, terminated = self._step(before, drawn, jnp.int32(0), context)
-        time = loop.time + 1
-        truncated = ~terminated & (time >= self.params.max_steps)
-        stepped = loop._replace(
-            learner=after.learner,
-            state=after.state,
-            time=time,
-            reward=after.reward,
-            reports=after.reports,
-            truncated=loop.truncated + truncated.astype(jnp.int32),
-        )
+        stepped = self._stepped(loop, after, 1, terminated)
         small, tally = choose(live, (small_parts(stepped), after.tally), (small_parts(loop), now.tally))
         small = once_if(
-            live & (terminated | truncated),
+            live & stepped.is_over,
             lambda small: small_parts(self._next_episode(with_small(stepped, small))),
             small,
         )

@@ -242,19 +242,21 @@ class Trainer:
 
         after = lax.while_loop(lambda s: counters.goes_on(s.tally), step, start)
         now, terminated, events = counter.read(after.tally, loop.events)
-        time = loop.time + now - taken
+        return self._stepped(loop, after, now - taken, terminated)._replace(events=events), now
+
+    def _stepped(self, loop: Loop, after: Stretch, steps: Array | int, terminated: Array) -> Loop:
+        """The loop after so many steps, the last of which may have ended the episode; events aside."""
+        time = loop.time + steps
         truncated = ~terminated & (time >= self.params.max_steps)
-        loop = loop._replace(
+        return loop._replace(
             learner=after.learner,
             state=after.state,
             time=time,
             reward=after.reward,
-            events=events,
             reports=after.reports,
             truncated=loop.truncated + truncated.astype(jnp.int32),
             is_over=terminated | truncated,
         )
-        return loop, now
 
     def _next_episode(self, loop: Loop) -> Loop:
         episode = loop.episode + 1

@@ -1,6 +1,7 @@
 """Infinite Mario by a model, by relational TD learning and by both (thesis Table 4.1 and Figure 4.5)."""
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,14 +60,10 @@ BEST = RelationalHORDQ(
     trace_length=12,
 )
 """The best configuration with a given model that was found by sweeps on this level: not the thesis's."""
-BEST_LEARNED = RelationalHORDQ(
-    SearchRoot(model=MultiwayModel(pessimism=5.0), max_nodes=1000, priority="last_reward", answer="sequence"),
-    pseudo_reward=15.0,
-    step_size=_halved_every_100_episodes(0.1, end=0.01),
+BEST_LEARNED = replace(
+    BEST,
+    root=SearchRoot(model=MultiwayModel(pessimism=5.0), max_nodes=1000, priority="last_reward", answer="sequence"),
     epsilon=_halved_every_100_episodes(0.01, end=0.0001),
-    discount=0.9,
-    trace_decay=0.8,
-    trace_length=12,
 )
 """The same with the thesis's 27 inputs and a learned model: whole plans on Orange's trees, with pessimism."""
 BEST_NAME = "best found"

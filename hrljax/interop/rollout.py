@@ -86,11 +86,9 @@ def rollout(
     """
     checks.instance("env", env, Environment, "an environment such as hrljax.make('Bus')")
     choose = _chooser(env, policy)
-    root = jax.random.key(checks.integer("key", key, 0, 2**32 - 1)) if checks.is_number(key, np.integer) else key
-    random.check_key(root)
+    words = jax.random.key_data(random.as_key(key))
     numbers = numbers_of(env, params)
     limit = numbers.max_steps if max_steps is None else checks.integer("max_steps", max_steps, 1)
-    words = jax.random.key_data(root)
     observation, state = episodes.begin(env, numbers, words)
     states, rows, is_over = [state], [], False
     while not is_over and len(rows) < limit:

@@ -177,7 +177,9 @@ class _Mapped:
     @interrupts.postponed()
     def __init__(self, job: Job):
         assert job.mapping != "auto"
-        group = batch.group_length(learned_bytes(job.env, job.learner))
+        # Native loops take one run after the other.
+        together = learned_bytes(job.env, job.learner) if job.mapping == "vmap" else 0
+        group = batch.group_length(together)
         mapped = batch.compile_mapped(lambda row: job.run(row), job.mapping, job.env.has_loops, group)
         self._jitted = cast(jax.stages.Wrapped, mapped)
         self._compilations: dict[str, Future[jax.stages.Compiled]] = {}  # by the shapes

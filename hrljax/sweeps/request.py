@@ -76,10 +76,7 @@ class SweepRequest:
         num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
         seeds = checks.integer("seeds", seeds, 1)
         keep_learned = checks.flag("keep_learned", keep_learned)
-        is_seed = checks.is_number(key, np.integer)
-        root_key = jax.random.key(checks.integer("key", key, 0, 2**32 - 1)) if is_seed else key
-        random.check_key(root_key)
-        assert isinstance(root_key, Array)
+        root_key = random.as_key(key)
         numbers = numbers_of(env, params)
         if any(isinstance(value, Tracer) for value in (root_key, *numbers, *learner.settings().values())):
             raise TypeError(

@@ -107,10 +107,9 @@ def _look(limits: Limits, sample: Sample, nodes: Nodes, level: Level, may_split:
         i, count, filled, starts, nodes = carry
         start = take(level.starts, i)
         n = take(level.starts, i + 1) - start
-        weight, centre, error, varies = _summary(limits, sample, order, start, n)
-        importance = take_row(
-            sample.importance, take(sample.group, take(order, start)) * limits.num_targets, limits.num_targets
-        )
+        tree = take(sample.group, take(order, start))
+        importance = take_row(sample.importance, tree * limits.num_targets, limits.num_targets)
+        weight, centre, error, varies = _summary(limits, sample, order, start, n, importance)
         goes_on = may_split & varies & (n > 1) & (weight >= np.float32(limits.min_split))
 
         def split(_: Split) -> Split:
@@ -141,12 +140,11 @@ def _look(limits: Limits, sample: Sample, nodes: Nodes, level: Level, may_split:
 
 
 def _summary(
-    limits: Limits, sample: Sample, order: Array, start: Array, n: Array
+    limits: Limits, sample: Sample, order: Array, start: Array, n: Array, importance: Array
 ) -> tuple[Array, Centre, Array, Array]:
     """Of a node's rows: weight, centre, error, and whether they vary enough to be parted."""
     k = limits.num_targets
-    first = take(order, start)
-    origin = take_row(sample.targets, first * k, k)
+    origin = take_row(sample.targets, take(order, start) * k, k)
 
     def add(p: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         weight, sums, squares = carry
@@ -163,7 +161,6 @@ def _summary(
     shift = jnp.stack([sums[i] / divisor for i in range(k)])
     centre = lax.select(n > 0, origin, zeros), lax.select(n > 0, shift, zeros)
     spread = lax.max(squares - exact_product(sums, shift, sample.zero), zeros)
-    importance = take_row(sample.importance, take(sample.group, first) * k, k)
     varies = jnp.any(spread >= divisor * np.float32(max(limits.min_variance, 1e-30)))
     return weight, centre, total(exact_product(spread, importance, sample.zero), k), varies
 

@@ -113,4 +113,4 @@ def test_runs_in_several_groups_are_those_of_one(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_tables_of_a_group_stay_in_a_cores_cache():
-    assert [batch.group_length(size) for size in (1, 100_000, 300_000, 900_000, 1 << 30)] == [64, 64, 27, 9, 8]
+    assert [batch.group_length(size) for size in (0, 1, 100_000, 300_000, 900_000, 1 << 30)] == [64, 64, 64, 27, 9, 8]
