@@ -11,7 +11,7 @@ from sklearn.tree import DecisionTreeRegressor
 from hrljax.engine import batch
 from hrljax.envs.mario.recordings import read_episodes
 from hrljax.experiments.mario_fidelity.transitions import INPUT_CATEGORIES, Transitions, read_transitions
-from hrljax.trees.regression_tree import RegressionTree, Trees, predict
+from hrljax.trees.regression_tree import Descent, RegressionTree, Trees, predict, predict_all
 from tests.mario_data import recording
 
 
@@ -180,6 +180,22 @@ def test_only_the_first_rows_count():
     oracle = DecisionTreeRegressor(max_depth=7, min_samples_leaf=4, random_state=0)
     expected = oracle.fit(one_hot(inputs[:200], MIXED), targets[:200]).predict(one_hot(inputs, MIXED)[:200])
     np.testing.assert_allclose(predictions(some, inputs)[:200], expected, atol=1e-4)
+
+
+def test_predictions_side_by_side_are_those_of_each_tree_alone():
+    """Trees of other depths, a single leaf among them, and rows of other widths."""
+    inputs, targets = mixed(7, 300)
+    deep, wide = fit_mixed(inputs, targets, 300), fit(RegressionTree((0,), min_leaf=1), inputs[:, 4:5], targets)
+    shallow = fit(RegressionTree(MIXED, max_depth=1, min_leaf=4), inputs, targets)
+    leaf = fit_mixed(inputs, targets, 0)
+
+    def all_of(row: jax.Array) -> list[jax.Array]:
+        return predict_all([Descent(trees, row, ()) for trees in (deep, shallow, leaf)] + [Descent(wide, row[4:5], ())])
+
+    together = jax.jit(jax.vmap(all_of))(inputs.astype(np.float32))
+    alone = [*(predictions(trees, inputs) for trees in (deep, shallow, leaf)), predictions(wide, inputs[:, 4:5])]
+    for side_by_side, expected in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(side_by_side, expected)
 
 
 def test_no_row_predicts_zero():
