@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 import hrljax as hrl
@@ -97,6 +98,27 @@ def options() -> Figure:
     )
 
 
+def discovered_options() -> Figure:
+    env = hrl.make("Gridworld")
+    discovered = {"to a bottleneck": hrl.bottleneck_options(env), "eigen-options": hrl.eigen_options(env)}
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    first, second, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.3))
+    for ax, options in zip((first, second), discovered.values(), strict=True):
+        hrl.plots.policy(env, np.where(options.initiation[0], options.policy[0], -1), ax)
+        ax.set_title(options.names[0])
+    learners = {name: hrl.OptionQ(options, step_size=0.2) for name, options in discovered.items()}
+    learners |= {"hallways, given": hrl.OptionQ(hrl.options_from(env.hierarchy(), env), step_size=0.2)}
+    learners |= {"Q-learning": hrl.QLearning(step_size=0.2)}
+    runs = {
+        name: hrl.sweep(env, learner, seeds=SEEDS, num_episodes=150, progress=False)
+        for name, learner in learners.items()
+    }
+    hrl.plots.learning_curves(runs, window=5, ax=right)
+    right.set_ylim(-800, 0)
+    right.set_title(f"Four rooms, {SEEDS} seeds")
+    return figure
+
+
 def hamq() -> Figure:
     hierarchy = hrl.make("Taxi").hierarchy()
     return taxi({"HAMQ": hrl.HAMQ(hierarchy, step_size=0.5), "Q-learning": hrl.QLearning(step_size=0.5)})
@@ -144,5 +166,18 @@ def roots() -> Figure:
 
 PICTURES: dict[str, Callable[[], Figure]] = {
     f"learners/{draw.__name__}": draw
-    for draw in (q_learning, sarsa, traces, dyna_q, r_max, options, hamq, maxq, hordq, shared_hordq, roots)
+    for draw in (
+        q_learning,
+        sarsa,
+        traces,
+        dyna_q,
+        r_max,
+        options,
+        discovered_options,
+        hamq,
+        maxq,
+        hordq,
+        shared_hordq,
+        roots,
+    )
 }

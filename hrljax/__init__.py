@@ -27,6 +27,7 @@ from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0  # noqa: E402
 from hrljax.learners.options.definition import Options, options_from, primitive_options  # noqa: E402
+from hrljax.learners.options.discovery import bottleneck_options, eigen_options  # noqa: E402
 from hrljax.learners.options.learner import OptionQ  # noqa: E402
 from hrljax.learners.relational.given_model import MarioDynamics  # noqa: E402
 from hrljax.learners.relational.learned_model import MarioModel  # noqa: E402
@@ -83,7 +84,9 @@ __all__ = [
     "Subtask",
     "TabularEnvironment",
     "best_first_search",
+    "bottleneck_options",
     "check",
+    "eigen_options",
     "estimate",
     "inaccessible",
     "load",

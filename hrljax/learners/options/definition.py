@@ -14,7 +14,7 @@ from hrljax.solvers.dynamic_programming import value_iteration
 from hrljax.solvers.model import Model
 
 _TIE = 1e-4
-"""Actions whose values differ by no more, relative to one plus the value, are taken to be equally good."""
+"""Actions whose values differ by no more, relative to a unit plus the value, are taken to be equally good."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,14 +193,14 @@ def options_from(
         task = hierarchy[name]
         children = np.array(sorted(hierarchy.actions.index(child) for child in task.children), np.int32)
         goes_on, goal = tables.active[hierarchy.index(name)], tables.goal[hierarchy.index(name)]
-        q = value_iteration(_within(model, children, goes_on, pseudo_reward * goal), discount).q
-        policies.append(np.where(goes_on, children[_first_best(np.asarray(q))], np.int32(0)))
+        q = value_iteration(within(model, children, goes_on, pseudo_reward * goal), discount).q
+        policies.append(np.where(goes_on, children[first_best(np.asarray(q))], np.int32(0)))
         active.append(goes_on)
     initiation = np.stack(active)
     return Options(hierarchy.actions, tuple(names), np.stack(policies), ~initiation, initiation, primitives)
 
 
-def _within(model: Model, actions: np.ndarray, active: np.ndarray, paid: np.ndarray) -> Model:
+def within(model: Model, actions: np.ndarray, active: np.ndarray, paid: np.ndarray) -> Model:
     """The decision process of a subtask: it ends where the subtask does, and is over elsewhere."""
     after, probability, reward, terminated = (column[:, actions] for column in model)
     leaves = ~active[after]
@@ -213,7 +213,7 @@ def _within(model: Model, actions: np.ndarray, active: np.ndarray, paid: np.ndar
     )
 
 
-def _first_best(q: np.ndarray) -> np.ndarray:
-    """``[S]``: the first of the actions that are best but for rounding."""
+def first_best(q: np.ndarray, unit: float = 1.0) -> np.ndarray:
+    """``[S]``: the first of the actions that are best but for rounding, of values in the order of a unit or more."""
     best = q.max(-1, keepdims=True)
-    return np.argmax(q >= best - _TIE * (1 + np.abs(best)), axis=-1)
+    return np.argmax(q >= best - _TIE * (unit + np.abs(best)), axis=-1)
