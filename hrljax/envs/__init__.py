@@ -2,5 +2,6 @@
 
 from hrljax.core.random import below
 from hrljax.envs.base import Environment, TabularEnvironment
+from hrljax.envs.factored import FactoredStates
 
-__all__ = ["Environment", "TabularEnvironment", "below"]
+__all__ = ["Environment", "FactoredStates", "TabularEnvironment", "below"]

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any, ClassVar, Protocol, TypeAlias, cast
 
 import gymnasium
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -20,6 +21,7 @@ from jax.core import Tracer
 from hrljax.core import checks, contract, random
 from hrljax.core.environment import Dynamics, Events, Params, State, TabularDynamics
 from hrljax.envs.checks import check_types
+from hrljax.envs.factored import FactoredStates, factored_states
 from hrljax.envs.outcomes import WordKinds, enumerate_outcomes, first_numbers
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.solvers.model import Model
@@ -165,6 +167,24 @@ class TabularEnvironment(Environment[State, Params], TabularDynamics[State, Para
     def hierarchy(self) -> Hierarchy:
         """The standard task hierarchy of this environment."""
         raise NotImplementedError(f"{self.name} has no standard hierarchy")
+
+    def variables(self, state: State) -> Mapping[str, Array]:
+        """The variables of a state by name: integers from 0, which together tell all states apart.
+
+        By default the fields of the state but `time`. An environment says otherwise where other ones mean more, such as
+        the row and the column of a cell.
+        """
+        fields = jax.tree_util.tree_flatten_with_path(state)[0]
+        by_name = {jax.tree_util.keystr(path, simple=True, separator="."): value for path, value in fields}
+        return {name: value for name, value in by_name.items() if name != "time"}
+
+    def factored(self) -> FactoredStates:
+        """The values of `variables` in every state: what learners of factored models go by.
+
+        Raises:
+            TypeError, ValueError: the variables are not such; the message names one.
+        """
+        return factored_states(self, self.variables)
 
     def observation(self, state: State) -> Array:
         """The number of the state (int32 scalar)."""

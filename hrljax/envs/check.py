@@ -30,6 +30,7 @@ def check(env: Environment[State, Params], params: Params | None = None) -> None
     - the same step twice, and compiled or not, leads to the same;
     - of a tabular environment: `encode`, `decode` and `time`; random words between the cuts; `model` and
       `initial_distribution` against what happens;
+    - `variables`, if it says what they are;
     - pictures, if it has a renderer.
 
     Args:
@@ -54,6 +55,8 @@ def check(env: Environment[State, Params], params: Params | None = None) -> None
     if isinstance(env, TabularEnvironment):
         check_words(env, numbers)
         check_model(env, numbers)
+        if type(env).variables is not TabularEnvironment.variables:
+            env.factored()
     _check_pictures(env, state)
 
 

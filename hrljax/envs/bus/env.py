@@ -14,6 +14,7 @@ from hrljax.core.numerics import take
 from hrljax.core.random import below, count_below, uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment, check_options
 from hrljax.envs.bus.map import KAO_V1, BusMap, parse
+from hrljax.envs.grid.moves import row_and_column
 from hrljax.hierarchy.definition import Abstraction, Hierarchy, Subtask
 
 _OPTIONS = {
@@ -156,6 +157,12 @@ class Bus(TabularEnvironment[BusState, BusParams]):
             road=index & ((1 << self.num_sites) - 1),
             time=jnp.int32(0),
         )
+
+    def variables(self, state: BusState) -> dict[str, Array]:
+        """Row and column of the bus, whether it is damaged, whether each passenger is on board, the road."""
+        passengers = {f"passenger_{i + 1}": (state.picked >> i) & 1 for i in range(len(self.layout.passengers))}
+        cell = row_and_column(state.cell, self.layout.width)
+        return {**cell, "damaged": state.damaged, **passengers, "road": state.road}
 
     def initial(self, words: Words, params: BusParams) -> BusState:
         zero = jnp.int32(0)

@@ -12,7 +12,7 @@ from hrljax.core.numerics import take
 from hrljax.core.random import uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment
 from hrljax.envs.grid.ascii_map import reached
-from hrljax.envs.grid.moves import move_table, moved, slip_cuts
+from hrljax.envs.grid.moves import move_table, moved, row_and_column, slip_cuts
 
 
 class SlipperyNumbers(Numbers, Protocol):
@@ -100,6 +100,10 @@ class CellWorld(TabularEnvironment[CellState, Params], Generic[Params]):
 
     def decode(self, index: Array) -> CellState:
         return CellState(cell=jnp.asarray(index, jnp.int32), time=jnp.int32(0))
+
+    def variables(self, state: CellState) -> dict[str, Array]:
+        """Row and column."""
+        return row_and_column(state.cell, self.layout.width)
 
     def initial(self, words: Words, params: Params) -> CellState:
         starts = np.flatnonzero(self.layout.starts).astype(np.int32)

@@ -40,3 +40,8 @@ def moved(table: Array, num_actions: int, cell: Array, action: Array, word: Arra
 def slip_cuts(slip: Array | float) -> tuple[Array | float, ...]:
     """The probabilities at which the outcome of a move changes."""
     return slip * 0.5, slip
+
+
+def row_and_column(cell: Array, width: int) -> dict[str, Array]:
+    """The two variables of a cell."""
+    return {"row": cell // width, "column": cell % width}

@@ -13,7 +13,7 @@ from hrljax.core.numerics import take
 from hrljax.core.random import count_below, uniform_cuts, uniform_index
 from hrljax.envs.base import TabularEnvironment, check_options
 from hrljax.envs.grid.ascii_map import WALL, neighbours, read_boxes, read_edges
-from hrljax.envs.grid.moves import move_table, moved, slip_cuts
+from hrljax.envs.grid.moves import move_table, moved, row_and_column, slip_cuts
 from hrljax.hierarchy.definition import Hierarchy, Predicate, Subtask
 
 MAP = """\
@@ -132,6 +132,12 @@ class Taxi(TabularEnvironment[TaxiState, TaxiNumbers]):
         index = jnp.asarray(index, jnp.int32)
         fickle, number = (index // 500, index % 500) if self.fickle else (jnp.int32(0), index)
         return TaxiState(number // 20, number // 4 % 5, number % 4, fickle, jnp.int32(0))
+
+    def variables(self, state: TaxiState) -> dict[str, Array]:
+        """Row and column of the taxi, where the passenger is, the destination; of a fickle Taxi also `fickle`."""
+        more = {"fickle": state.fickle} if self.fickle else {}
+        cell = row_and_column(state.cell, SIZE)
+        return {**cell, "passenger": state.passenger, "destination": state.destination, **more}
 
     def initial(self, words: Words, params: TaxiNumbers) -> TaxiState:
         cell, passenger = (uniform_index(w, jnp.int32(n)) for w, n in zip(words, (SIZE * SIZE, 4), strict=False))
