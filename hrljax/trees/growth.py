@@ -15,6 +15,7 @@ from jax import Array, lax
 
 from hrljax.core.numerics import put_row, take, take_row
 from hrljax.trees.inputs import Binned, Cells
+from hrljax.trees.partition import CHUNK, parted
 
 LEAF = 0
 """Word of a leaf."""
@@ -24,8 +25,6 @@ EQUALS = 1 << INPUT_BITS
 LEFT_SHIFT = INPUT_BITS + 1
 MAX_NODES = 1 << (31 - LEFT_SHIFT)
 
-_CHUNK = 16
-"""Rows that are copied at once."""
 _NEGLIGIBLE = np.float32(2.0**-6)
 """Means, in quanta, that differ by less are equal: float32 holds those of equal targets to 2^-7."""
 
@@ -61,8 +60,8 @@ class Arrays(NamedTuple):
 
     words: Array  # [nodes] int32
     numbers: Array  # [nodes] float32
-    rows: Array  # [N + _CHUNK] int32: the rows of a node lie side by side
-    sorted_rows: Array  # [N + _CHUNK] int32: where they are sorted
+    rows: Array  # [N + CHUNK] int32: the rows of a node lie side by side
+    sorted_rows: Array  # [N + CHUNK] int32: where they are sorted
     histograms: Array  # [slots * 2 * S] int32: counts and sums of the nodes that wait
     waiting: Array  # [slots * 5] int32: node, first of its rows, their number, their sum, depth
 
@@ -78,8 +77,8 @@ def empty_arrays(growth: Growth, num_nodes: int, rows: Array) -> Arrays:
     return Arrays(
         words=jnp.zeros(num_nodes, jnp.int32),
         numbers=jnp.zeros(num_nodes, jnp.float32),
-        rows=jnp.concatenate([rows, jnp.zeros(_CHUNK, jnp.int32)]),
-        sorted_rows=jnp.zeros(len(rows) + _CHUNK, jnp.int32),
+        rows=jnp.concatenate([rows, jnp.zeros(CHUNK, jnp.int32)]),
+        sorted_rows=jnp.zeros(len(rows) + CHUNK, jnp.int32),
         histograms=jnp.zeros(slots * 2 * growth.cells.num_cells, jnp.int32),
         waiting=jnp.zeros(slots * 5, jnp.int32),
     )
@@ -217,29 +216,13 @@ def _partition(growth: Growth, sample: Sample, arrays: Arrays, cell: Array, star
     which = take(jnp.asarray(cells.input), cell)
     continuous = take(jnp.asarray(cells.continuous), cell)
     lowest = lax.select(continuous, take(jnp.asarray(cells.first), cell), cell)
-    rows = arrays.rows
 
-    # Into another array and back, because a swap in place would be copied with the whole array.
-    def step(i: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        left, right, sorted_rows = carry
-        row = take(rows, i)
+    def passes(row: Array) -> Array:
         row_cell = take(sample.binned.cells, row * np.int32(growth.num_inputs) + which).astype(jnp.int32)
-        passes = (row_cell >= lowest) & (row_cell <= cell)
-        sorted_rows = put_row(sorted_rows, lax.select(passes, left, right), row[None])
-        moved = passes.astype(jnp.int32)
-        return left + moved, right - (1 - moved), sorted_rows
+        return (row_cell >= lowest) & (row_cell <= cell)
 
-    sorted_rows = lax.fori_loop(start, end, step, (start, end - 1, arrays.sorted_rows))[2]
-
-    def copy_back(chunk: Array, rows: Array) -> Array:
-        first = start + chunk * np.int32(_CHUNK)
-        inside = first + np.arange(_CHUNK, dtype=np.int32) < end
-        return put_row(
-            rows, first, jnp.where(inside, take_row(sorted_rows, first, _CHUNK), take_row(rows, first, _CHUNK))
-        )
-
-    chunks = (end - start + np.int32(_CHUNK - 1)) // np.int32(_CHUNK)
-    return arrays._replace(rows=lax.fori_loop(jnp.int32(0), chunks, copy_back, rows), sorted_rows=sorted_rows)
+    rows, sorted_rows, _ = parted(arrays.rows, arrays.sorted_rows, start, end, passes)
+    return arrays._replace(rows=rows, sorted_rows=sorted_rows)
 
 
 def _count(growth: Growth, sample: Sample, arrays: Arrays, slot: Array, start: Array, n: Array) -> Arrays:
