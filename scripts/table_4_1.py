@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid, program
+from hrljax.experiments.mario_search_picture import largest_search, search_picture
 from hrljax.experiments.rows import curves_csv
 from hrljax.learners.relational.learner import RelationalHORDQ
 from hrljax.learners.relational.search_root import SearchRoot
@@ -23,7 +24,7 @@ class Options:
 
     Writes table_4_1.csv (distance, wins and so on by episode), table_4_1.png (levels finished by
     pseudo-reward), figure_4_5.png (distance by episode), a Zarr store for every method, finished.gif (a
-    finished level, or the farthest game), search.png (a search tree on the screen) and summary.json: a
+    finished level, or the farthest game), search.png (its largest search, drawn on the level) and summary.json: a
     list of "name", "finished" with "mean", "lo", "hi", "finished_by_seed", "thesis", "distance",
     "return", "deaths", "steps", "seeds", "episodes".
     """
@@ -88,7 +89,7 @@ def _pictures(env: Mario, learner: RelationalHORDQ, options: Options) -> Iterato
     agent = mario_hybrid.trained(env, learner, options.episodes, jax.random.key(options.key))
     game = mario_hybrid.best_game(agent, tries=20)
     mario_hybrid.film(agent, game, options.out / "finished.gif")
-    yield mario_hybrid.search_picture(agent, game[len(game) // 2].episode)
+    yield search_picture(agent, game, largest_search(agent, game))
 
 
 def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:

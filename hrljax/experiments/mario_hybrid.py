@@ -19,7 +19,6 @@ from hrljax.envs.film import save_gif
 from hrljax.envs.mario.competition import Episode
 from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.play import Action, Policy, Step, play
 from hrljax.experiments.rows import Row, interval_row
 from hrljax.learners.base import Context
@@ -229,26 +228,3 @@ def film(agent: Agent, steps: list[Step], path: str | Path) -> None:
     """A GIF of a game, one picture every second tick."""
     worlds = [world for step in steps for world in step.worlds][::2]
     save_gif((picture.screen(agent.env.course, world, tile_pixels=16) for world in worlds), path, fps=12)
-
-
-def search_picture(agent: Agent, episode: Episode) -> Figure:
-    """A search tree drawn on the screen (thesis Figure 4.3(b))."""
-    searched = agent.search(agent.tables, episode)
-    tree, pixels = searched.tree, 32
-    camera = float(episode.world.camera)
-    figure = Figure(figsize=(10, 8), layout="constrained")
-    ax = figure.subplots()
-    ax.imshow(picture.screen(agent.env.course, episode.world, tile_pixels=pixels, status=False))
-    x = (np.asarray(tree.state.x) - camera) * pixels / TILE
-    y = np.asarray(tree.state.y) * pixels / TILE
-    parent, number = np.asarray(tree.parent), int(tree.num_nodes)
-    for node in range(1, number):
-        ax.plot(x[[parent[node], node]], y[[parent[node], node]], color="0.35", lw=0.7, alpha=0.5)
-    ax.scatter(x[:number], y[:number], c=np.asarray(tree.value)[:number], s=14, cmap="viridis", zorder=3)
-    node = int(searched.node)
-    while parent[node] >= 0:
-        ax.plot(x[[parent[node], node]], y[[parent[node], node]], color=plots.COLOURS[1], lw=2.2, zorder=4)
-        node = int(parent[node])
-    ax.set_title(f"{number - 1} nodes; the best sequence promises {float(searched.value):+.2f}")
-    ax.set_axis_off()
-    return figure

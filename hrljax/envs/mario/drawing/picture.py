@@ -31,27 +31,38 @@ _FLAG = 16 * 5
 """Height of the flag from the top: below every ceiling."""
 
 
-def screen(course: Course, world: World, tile_pixels: int = 32, status: bool = True) -> np.ndarray:
-    """What the camera sees.
+def screen(
+    course: Course,
+    world: World,
+    tile_pixels: int = 32,
+    status: bool = True,
+    columns: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """What the camera sees, or another part of the level with what moves in it.
 
     Args:
         course: the levels.
         world: one game (not a batch).
         tile_pixels: points per tile of the picture, at least 4; 32 gives 640 x 480.
         status: write coins, kills and the place into the upper edge.
+        columns: the first column of the part and the one after its last; what the camera sees if not given.
 
     Returns:
-        ``[15 * tile_pixels, 20 * tile_pixels, 3]`` uint8.
+        ``[15 * tile_pixels, columns * tile_pixels, 3]`` uint8; 20 columns of what the camera sees.
 
     Raises:
-        ValueError: `tile_pixels` is too small, or `world` is a batch.
+        ValueError: `tile_pixels` is too small, there are no such columns, or `world` is a batch.
     """
     _check_tile_pixels(tile_pixels)
+    if columns is not None and not 0 <= columns[0] < columns[1] <= course.num_columns:
+        raise ValueError(f"columns must be two of 0..{course.num_columns}, the first one less, got {columns}")
     world = jax.device_get(world)
     if np.ndim(world.player.x) != 0:
         raise ValueError(f"world must be one game, got a batch of shape {list(np.shape(world.player.x))}")
     tiles = np.asarray(world.tiles).reshape(-1, HEIGHT)
-    picture = _Picture(tiles, float(world.camera), SCREEN_WIDTH, tile_pixels)
+    first, last = columns or (0, SCREEN_WIDTH // TILE)
+    left = float(world.camera) if columns is None else float(first * TILE)
+    picture = _Picture(tiles, left, (last - first) * TILE, tile_pixels)
     sprites = _poses(world.sprites, int(world.num_sprites))
     picture.tiles(behind=True)
     picture.exit(int(np.asarray(course.exit_column)[int(world.level)]))

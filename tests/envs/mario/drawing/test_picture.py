@@ -46,6 +46,17 @@ def test_the_screen_follows_the_camera():
     np.testing.assert_array_equal(moved[below_mario, :-16], still[below_mario, 16:])
 
 
+def test_any_columns_may_be_shown():
+    seen = screen(COURSE, GAME._replace(camera=jnp.float32(32.0)), 16, False)
+    np.testing.assert_array_equal(screen(COURSE, GAME, 16, False, columns=(2, 22)), seen)
+    part = screen(COURSE, GAME, 16, False, columns=(5, 30))
+    assert part.shape == (240, 25 * 16, 3)
+    np.testing.assert_array_equal(part[150:, : 17 * 16], seen[150:, 3 * 16 :])
+    for columns in ((-1, 5), (5, 5), (0, 371)):
+        with pytest.raises(ValueError, match="columns must be two of"):
+            screen(COURSE, GAME, columns=columns)
+
+
 def test_the_screen_shows_sprites_and_what_they_are():
     sprites, seen = GAME.sprites, []
     for kind in range(1, 10):
