@@ -41,6 +41,7 @@ from hrljax.learners.shared import SharedHORDQ  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
 from hrljax.search.best_first import best_first_search  # noqa: E402
 from hrljax.solvers import sweeps as _sweeps  # noqa: E402
+from hrljax.sweeps.axes import Points, points  # noqa: E402
 from hrljax.sweeps.estimate import estimate  # noqa: E402
 from hrljax.sweeps.io import load, save  # noqa: E402
 from hrljax.sweeps.learned import Learned  # noqa: E402
@@ -71,6 +72,7 @@ __all__ = [
     "MultiwayModel",
     "OptionQ",
     "Options",
+    "Points",
     "QLambda",
     "QLearning",
     "RMax",
@@ -93,6 +95,7 @@ __all__ = [
     "make",
     "options_from",
     "plots",
+    "points",
     "primitive_options",
     "processes",
     "register",

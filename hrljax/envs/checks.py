@@ -1,6 +1,5 @@
 """What is checked of an environment before anything is compiled for it."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 import jax
@@ -22,7 +21,7 @@ RESERVED = ("return", "length", "truncated", "steps", "greedy_return", "learned"
 
 
 def check_before_training(
-    env: AnyDynamics, params: Numbers, swept: Mapping[str, Sequence[float]] | None = None, sample: bool = True
+    env: AnyDynamics, params: Numbers, swept: Sequence[Mapping[str, float]] = ({},), sample: bool = True
 ) -> None:
     """Raises for an environment of a user's own that cannot be trained in, or only with senseless results.
 
@@ -31,7 +30,7 @@ def check_before_training(
     Args:
         env: the environment.
         params: its numbers, as from `concrete_params`; traced ones have no value to look at.
-        swept: values by the names of numbers that differ from run to run.
+        swept: values by the names of numbers that differ from run to run, of every combination that is swept.
         sample: whether to try random episodes where outcomes are too many to look at each.
 
     Raises:
@@ -39,16 +38,12 @@ def check_before_training(
     """
     if type(env).__module__.partition(".")[0] == "hrljax":
         return
-    swept = swept or {}
-    check_types(env, params._replace(**{name: jax.ShapeDtypeStruct((), jnp.float32) for name in swept}))
+    check_types(env, params._replace(**{name: jax.ShapeDtypeStruct((), jnp.float32) for name in swept[0]}))
     if any(isinstance(number, Tracer) for number in params):
         return
-    sizes = [len(values) for values in swept.values()]
-    count = math.prod(sizes)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).astype(int))
-    places = np.array(np.unravel_index(chosen, sizes)).T if sizes else np.zeros((1, 0), int)
-    points = ([np.float32(v[i]) for v, i in zip(swept.values(), place, strict=True)] for place in places)
-    check_values(env, tuple(params._replace(**dict(zip(swept, point, strict=True))) for point in points), sample)
+    chosen = np.unique(np.linspace(0, len(swept) - 1, min(len(swept), _MOST_POINTS)).astype(int))
+    points = ({name: np.float32(value) for name, value in swept[index].items()} for index in chosen)
+    check_values(env, tuple(params._replace(**point) for point in points), sample)
 
 
 @once_per_environment(64)

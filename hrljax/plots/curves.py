@@ -1,6 +1,5 @@
 """Learning curves."""
 
-import itertools
 from collections.abc import Mapping
 
 import xarray as xr
@@ -55,12 +54,10 @@ def learning_curves(
         if window is not None:
             begun = values[along] >= min(window, int(values[along][-1]) / 2)
             values = stats.smoothed(values, window).where(begun, drop=True)
-        swept = tuple(dim for dim in values.dims if dim not in ("seed", along))
-        for setting in itertools.product(*(values[dim].values for dim in swept)):
-            curve = values.sel(dict(zip(swept, setting, strict=True)))
+        for curve, setting in style.settings(values, "seed", along):
             middle, low, high = style.interval(curve, statistic)
             line = next(lines)
-            described = " ".join(part for part in (name, style.setting(swept, setting)) if part)
+            described = " ".join(part for part in (name, setting) if part)
             described = described or str(named[name].attrs.get("learner", values.name))
             ax.plot(middle[along], middle, **line, label=f"{described} ({style.finished(curve, along)})", lw=1.4)
             ax.fill_between(middle[along], low, high, color=line["color"], alpha=0.25, lw=0)

@@ -73,9 +73,8 @@ class Chunks:
 
     def where(self, file: Path, chunk: range) -> str:
         """A file of the store and the runs whose values it holds, as text."""
-        *point, seed = np.unravel_index(chunk.start, self.schema.grid.shape)
-        axes = zip(self.schema.grid.axes.items(), point, strict=True)
-        combination = [f"{name}={values[index]}" for (name, values), index in axes]
+        seed = chunk.start % self.schema.grid.seeds
+        combination = [f"{name}={value}" for name, value in self.schema.grid.setting(chunk.start).items()]
         seeds = f"seeds {seed} to {seed + len(chunk) - 1}"
         return f"{file.relative_to(self.path).as_posix()} ({', '.join([*combination, seeds])})"
 

@@ -12,6 +12,7 @@ import numpy as np
 from hrljax.engine.start import LEARNED, Start, Startable, checked_start, learned_shapes, step_words, tree_of
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.sweeps.axes import POINT
 from hrljax.sweeps.fingerprint import differences
 from hrljax.sweeps.schema import Grid
 from hrljax.sweeps.versions import Attributes
@@ -92,19 +93,46 @@ def names_of_tables(what: str, dataset: xr.Dataset) -> list[str]:
     return tables
 
 
+def swept_along_points(dataset: xr.Dataset) -> list[str]:
+    """Hyper-parameters that a dataset has along the dimension of points."""
+    along = ((str(name), values.dims) for name, values in dataset.coords.items())
+    return [name for name, dims in along if dims == (POINT,) and name != POINT]
+
+
 def _runs(start: xr.Dataset, grid: Grid) -> xr.Dataset:
     """Of the runs in a dataset, those that the runs of a sweep start from."""
-    wanted = {str(dim): grid.coordinates.get(str(dim)) for dim in start["steps"].dims}
-    for dim, values in wanted.items():
-        if values is None:
+    import xarray as xr
+
+    wanted: dict[str, xr.DataArray] = {}
+    for dim in map(str, start["steps"].dims):
+        if dim not in grid.coordinates:
             raise ValueError(f"start has an axis {dim!r}, which this sweep has not; select one of its values first")
+        along, values = grid.coordinates[dim]
+        if dim == POINT:
+            values = _points(start, grid)
         missing = np.setdiff1d(values, start[dim].values)
         if missing.size:
             raise ValueError(f"start has no runs with {dim} = {missing[0]:g}; it has {start[dim].values.tolist()}")
+        wanted[dim] = xr.DataArray(values, dims=along)
     runs = start.sel(wanted)
     if not np.isfinite(runs["steps"].values).all():
         raise ValueError("start has runs that are not finished; finish that sweep first")
     return runs
+
+
+def _points(start: xr.Dataset, grid: Grid) -> np.ndarray:
+    """``[points]``: the number in a dataset of each combination of a sweep."""
+    names = [name for name in swept_along_points(start) if name in grid.axes]
+    if len(names) < len(swept_along_points(start)):
+        raise ValueError(f"start has points of {swept_along_points(start)}, this sweep has {list(grid.axes)}")
+    of_start = zip(*(start[name].values.tolist() for name in names), strict=True)
+    numbers = dict(zip(of_start, start[POINT].values.tolist(), strict=True))
+    wanted = list(zip(*(grid.axes[name] for name in names), strict=True))
+    for combination in wanted:
+        if combination not in numbers:
+            setting = ", ".join(f"{name} = {value:g}" for name, value in zip(names, combination, strict=True))
+            raise ValueError(f"start has no runs with {setting}")
+    return np.array([numbers[combination] for combination in wanted])
 
 
 def _rows(values: xr.DataArray, grid: Grid) -> np.ndarray:

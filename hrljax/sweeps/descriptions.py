@@ -67,14 +67,14 @@ def describe_store(schema: Schema, chunk_size: int, version: int, seeds_of_a_fil
     for name, variable in schema.variables.items():
         dims = (*schema.grid.dims, *variable.dims)
         shape = (*schema.grid.shape, *variable.shape)
-        chunks = (*[1] * len(schema.grid.axes), chunk_size, *variable.shape)
+        chunks = (*[1] * (len(schema.grid.dims) - 1), chunk_size, *variable.shape)
         arrays[name] = _array(group, name, shape, chunks, dims, variable.unfinished, variable.attributes, of_chunks)
-    for name, values in schema.coordinates.items():
+    for name, (dim, values) in schema.coordinates.items():
         size = len(values)
         if name == SEED:
             size = seeds_of_a_file or (size if version == FIRST_VERSION else _SEEDS_OF_A_FILE)
         whole = -(-len(values) // size) * size
-        array = _array(group, name, (whole,), (size,), (name,), values.dtype.type(0), describe(name))
+        array = _array(group, name, (whole,), (size,), (dim,), values.dtype.type(0), describe(name))
         array[...] = np.arange(whole) if name == SEED else values
         array.resize(values.shape)
     with warnings.catch_warnings():

@@ -17,6 +17,7 @@ from hrljax.engine import batch
 from hrljax.engine.start import learned_bytes
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.sweeps.axes import Points
 from hrljax.sweeps.job import Job
 from hrljax.sweeps.request import SweepRequest
 
@@ -58,7 +59,7 @@ def estimate(
     *,
     seeds: int,
     num_episodes: int,
-    axes: Mapping[str, Sequence[float]] | None = None,
+    axes: Mapping[str, Sequence[float]] | Points | None = None,
     key: Array | int = 0,
     params: Numbers | None = None,
     bin_size: int | None = None,

@@ -20,7 +20,7 @@ from hrljax.learners.base import AnyLearner, Learner, outside_of_training
 from hrljax.learners.hyperparameters import with_tabulated_schedules
 from hrljax.sweeps import learned_file
 from hrljax.sweeps.axes import of_learner
-from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables
+from hrljax.sweeps.continuation import check_origin, episodes_of, names_of_tables, swept_along_points
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -82,7 +82,7 @@ class Learned:
             env: the environment of the sweep.
             learner: the learner of the sweep.
             seed: number of the seed.
-            at: the value along each axis.
+            at: the value along each axis; of `hrljax.points`, ``{"point": number}``.
 
         Raises:
             TypeError: an argument is of the wrong kind.
@@ -102,7 +102,8 @@ class Learned:
         run = dataset.sel(point)
         if not np.isfinite(run["steps"]):
             raise ValueError(f"the run of seed {seed} at {at} is not finished")
-        learner = learner.replaced(of_learner(at))
+        swept = {name: float(run[name]) for name in swept_along_points(dataset)} or at
+        learner = learner.replaced(of_learner(swept))
         named = {name: run[name].values for name in names_of_tables("the dataset", run)}
         tables = tree_of(learned_shapes(env, learner), named)
         return cls(env, learner, tables, episodes=episodes_of(dataset), steps=int(run["steps"]))

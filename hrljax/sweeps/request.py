@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
-import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Literal
@@ -25,7 +23,7 @@ from hrljax.envs.base import AnyEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training
 from hrljax.learners.base import AnyLearner
 from hrljax.sweeps import fingerprint
-from hrljax.sweeps.axes import checked_axes, of_env
+from hrljax.sweeps.axes import Points, checked_axes, of_env
 from hrljax.sweeps.continuation import Continuation, continuation
 from hrljax.sweeps.job import CHECKPOINT, EPISODE, Job, Rows
 from hrljax.sweeps.schema import Grid, Schema, variables_of
@@ -59,7 +57,7 @@ class SweepRequest:
         *,
         seeds: int,
         num_episodes: int,
-        axes: Mapping[str, Sequence[float]] | None,
+        axes: Mapping[str, Sequence[float]] | Points | None,
         key: Array | int,
         params: Numbers | None,
         bin_size: int | None,
@@ -82,10 +80,10 @@ class SweepRequest:
             raise TypeError(
                 "a sweep compiles and maps its runs itself, so jax.jit and jax.vmap cannot trace it; map train"
             )
-        grid = Grid(checked_axes(learner, numbers, axes), seeds)
+        grid = Grid(checked_axes(learner, numbers, axes), seeds, isinstance(axes, Points))
         if evaluate_every is not None and of_env(grid.axes):
             raise ValueError("evaluate_every needs fixed params: it cannot be combined with an axis of the environment")
-        check_before_training(env, numbers, of_env(grid.axes))
+        check_before_training(env, numbers, grid.settings_of_env())
         bin_size = bin_size or default_bin_size(num_episodes)
         if evaluate_every is not None and evaluate_every > len(bin_sizes(num_episodes, bin_size)):
             raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")
@@ -105,12 +103,11 @@ class SweepRequest:
     @interrupts.postponed()
     def rows(self) -> Rows:
         """What tells the runs apart."""
-        axes, seeds = self.grid
+        seeds, combinations = self.grid.seeds, np.array(self.grid.combinations, np.float32)
         words = _seed_words(self.key, jnp.arange(seeds))
-        points = np.array(list(itertools.product(*axes.values())), np.float32)
         rows: Rows = {
-            "key": np.tile(np.asarray(words), (len(points), 1)),
-            "axes": {name: np.repeat(points[:, i], seeds) for i, name in enumerate(axes)},
+            "key": np.tile(np.asarray(words), (len(combinations), 1)),
+            "axes": {name: np.repeat(combinations[:, i], seeds) for i, name in enumerate(self.grid.axes)},
         }
         if self.start is not None:
             rows["start"] = self.start.rows
@@ -159,8 +156,7 @@ class SweepRequest:
             **self.attributes,
             "evaluate_every": job.evaluate_every or 0,
             "keep_learned": int(job.keep_learned),
-            "seeds": self.grid.seeds,
-            "axes": json.dumps(self.grid.axes),
+            **self.grid.attributes,
             **({} if self.start is None else {"digest.start": self.start.digest()}),
             **fingerprint.digests(job.env, job.learner, job.first_episode + job.num_episodes),
         }

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
 
-from hrljax.sweeps.axes import Axes
+from hrljax.sweeps.axes import POINT, Axes, of_env
 from hrljax.sweeps.job import EPISODE, RunValues
 from hrljax.sweeps.versions import Attributes
 
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
 SEED = "seed"
 """The last dimension of runs."""
+_AXES_ARE, _POINTS = "axes_are", "points"
+_COORDINATES = "coordinates"
+"""Attribute of a store by which xarray tells coordinates that are no dimensions from variables (CF conventions, 5)."""
 _DESCRIPTIONS = {
     "return": {"long_name": "return per episode"},
     "length": {"long_name": "steps per episode", "units": "steps"},
@@ -38,21 +43,50 @@ class Variable(NamedTuple):
         return self.dtype.type(np.nan if self.dtype.kind == "f" else 0)
 
 
+class Coordinate(NamedTuple):
+    """What stands along a dimension."""
+
+    dim: str
+    values: np.ndarray
+
+
 class Grid(NamedTuple):
-    """The runs of a sweep, in the order of the axes, the first slowest, and then of the seeds."""
+    """The runs of a sweep, in the order of the axes, the first slowest, and then of the seeds.
+
+    Of points, the values of all axes belong together: they are values along one dimension.
+    """
 
     axes: Axes
     seeds: int
+    is_of_points: bool = False
+
+    @classmethod
+    def of(cls, attributes: Attributes) -> Grid:
+        """The grid of a store with these attributes."""
+        return cls(json.loads(attributes["axes"]), attributes["seeds"], attributes.get(_AXES_ARE) == _POINTS)
+
+    @property
+    def attributes(self) -> Attributes:
+        """What a store says of it."""
+        kind = {_AXES_ARE: _POINTS, _COORDINATES: " ".join(self.axes)} if self.is_of_points else {}
+        return {"seeds": self.seeds, "axes": json.dumps(self.axes), **kind}
+
+    @property
+    def combinations(self) -> list[tuple[float, ...]]:
+        """The value of each hyper-parameter, of all combinations."""
+        values = self.axes.values()
+        return list(zip(*values, strict=True) if self.is_of_points else itertools.product(*values))
 
     @property
     def dims(self) -> tuple[str, ...]:
         """Dimensions of runs."""
-        return (*self.axes, SEED)
+        return (POINT, SEED) if self.is_of_points else (*self.axes, SEED)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Numbers of runs."""
-        return (*map(len, self.axes.values()), self.seeds)
+        lengths = [len(values) for values in self.axes.values()]
+        return (*(lengths[:1] if self.is_of_points else lengths), self.seeds)
 
     @property
     def num_runs(self) -> int:
@@ -60,10 +94,23 @@ class Grid(NamedTuple):
         return int(np.prod(self.shape))
 
     @property
-    def coordinates(self) -> dict[str, np.ndarray]:
+    def coordinates(self) -> dict[str, Coordinate]:
         """Of every dimension of runs."""
-        axes = {name: np.array(values, np.float64) for name, values in self.axes.items()}
-        return {**axes, SEED: np.arange(self.seeds)}
+        dims = (POINT,) * len(self.axes) if self.is_of_points else self.axes
+        axes = zip(dims, self.axes.items(), strict=True)
+        coordinates = {name: Coordinate(dim, np.array(values, np.float64)) for dim, (name, values) in axes}
+        if self.is_of_points:
+            coordinates[POINT] = Coordinate(POINT, np.arange(self.shape[0]))
+        return {**coordinates, SEED: Coordinate(SEED, np.arange(self.seeds))}
+
+    def setting(self, run: int) -> dict[str, float]:
+        """The values of the hyper-parameters of a run."""
+        return dict(zip(self.axes, self.combinations[run // self.seeds], strict=True))
+
+    def settings_of_env(self) -> list[dict[str, float]]:
+        """The different values of the environment's numbers, by their names; one without any if none is swept."""
+        settings = (of_env(dict(zip(self.axes, values, strict=True))) for values in self.combinations)
+        return [dict(setting) for setting in dict.fromkeys(tuple(setting.items()) for setting in settings)]
 
 
 class Schema(NamedTuple):
@@ -74,9 +121,10 @@ class Schema(NamedTuple):
     variables: dict[str, Variable]
 
     @property
-    def coordinates(self) -> dict[str, np.ndarray]:
+    def coordinates(self) -> dict[str, Coordinate]:
         """Of runs, and of what each of them holds."""
-        return {**self.grid.coordinates, **self.coordinates_of_run}
+        of_run = {name: Coordinate(name, values) for name, values in self.coordinates_of_run.items()}
+        return {**self.grid.coordinates, **of_run}
 
 
 def variables_of(run: RunValues[jax.ShapeDtypeStruct]) -> dict[str, Variable]:
@@ -117,5 +165,6 @@ def dataset(
         array[~finished] = variable.unfinished
         dims, shape = (*grid.dims, *variable.dims), (*grid.shape, *variable.shape)
         variables[name] = xr.Variable(dims, array.reshape(shape), variable.attributes)
-    coordinates = {name: xr.Variable((name,), along, describe(name)) for name, along in schema.coordinates.items()}
-    return xr.Dataset(variables, coordinates, attributes)
+    along = schema.coordinates.items()
+    coordinates = {name: xr.Variable((dim,), values, describe(name)) for name, (dim, values) in along}
+    return xr.Dataset(variables, coordinates, {k: v for k, v in attributes.items() if k != _COORDINATES})

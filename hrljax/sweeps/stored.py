@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +10,8 @@ import numpy as np
 from hrljax.engine.batch import Collected
 from hrljax.sweeps.chunks import Chunks, DamagedChunkError, chunks_of_version
 from hrljax.sweeps.descriptions import FIRST_VERSION, NEWEST_VERSION, ROOT
-from hrljax.sweeps.schema import SEED, Grid, Schema, Variable, dataset
-from hrljax.sweeps.store_attributes import CHUNK_SIZE, COMPLETE, SEEDS, SETTINGS, VERSION
+from hrljax.sweeps.schema import Grid, Schema, Variable, dataset
+from hrljax.sweeps.store_attributes import CHUNK_SIZE, COMPLETE, SETTINGS, VERSION
 from hrljax.sweeps.versions import Attributes, VersionsOfRuns, from_attributes
 
 if TYPE_CHECKING:
@@ -72,18 +71,18 @@ def _collect(chunks: Chunks, collected: Collected, versions: VersionsOfRuns) -> 
 
 def _schema(path: Path, attributes: Attributes, members: Attributes) -> Schema:
     """Names and places of the store's values; all but coordinates of a run are in the root's file."""
-    axes = json.loads(attributes["axes"])
+    grid = Grid.of(attributes)
     coordinates: dict[str, np.ndarray] = {}
     variables: dict[str, Variable] = {}
-    of_runs = [*axes, SEED]
+    of_runs = list(grid.dims)
     for name, member in members.items():
         dims, shape, dtype = member["dimension_names"], member["shape"], np.dtype(member["data_type"])
-        if dims[: len(of_runs)] == of_runs and name not in of_runs:
+        if dims[: len(of_runs)] == of_runs and name not in grid.coordinates:
             start = len(of_runs)
             variables[name] = Variable(tuple(dims[start:]), tuple(shape[start:]), dtype, member["attributes"])
-        elif name not in of_runs:
+        elif name not in grid.coordinates:
             coordinates[name] = _coordinate(path, name)
-    return Schema(Grid(axes, attributes[SEEDS]), coordinates, variables)
+    return Schema(grid, coordinates, variables)
 
 
 def _coordinate(path: Path, name: str) -> np.ndarray:

@@ -18,6 +18,7 @@ from hrljax.engine import batch
 from hrljax.engine.start import Startable
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.sweeps.axes import Points
 from hrljax.sweeps.job import Chunk
 from hrljax.sweeps.request import SweepRequest
 from hrljax.sweeps.schema import dataset
@@ -34,7 +35,7 @@ def sweep(
     *,
     seeds: int,
     num_episodes: int,
-    axes: Mapping[str, Sequence[float]] | None = None,
+    axes: Mapping[str, Sequence[float]] | Points | None = None,
     key: Array | int = 0,
     params: Numbers | None = None,
     bin_size: int | None = None,
@@ -60,7 +61,8 @@ def sweep(
         seeds: number of seeds, at least 1.
         num_episodes: episodes of each run, at least 1.
         axes: values by the name of a hyper-parameter: a field of the learner (``"pseudo_reward"``),
-            of its root (``"root.step_size"``) or of the environment (``"env.slip_probability"``).
+            of its root (``"root.step_size"``) or of the environment (``"env.slip_probability"``). All combinations are
+            swept; or, of `hrljax.points`, those that it lists.
         key: a new-style key, or an integer for ``jax.random.key``.
         params: numbers of the environment, `env.default_params` if None.
         bin_size: episodes in a bin; about a 200th of the run if None.
@@ -87,10 +89,10 @@ def sweep(
         progress: whether to show a progress bar.
 
     Returns:
-        A dataset with dimensions of the axes, then ``seed``, then ``episode`` (the last episode of
-        each bin, counted from the very first). Variables: ``return``, ``length`` and the
-        environment's events, means per episode of the bin; ``steps`` of each run, those before
-        `start` included; with `evaluate_every`, ``greedy_return`` over ``checkpoint``; with
+        A dataset with dimensions of the axes (of `hrljax.points`, one dimension ``point``), then ``seed``,
+        then ``episode`` (the last episode of each bin, counted from the very first). Variables: ``return``,
+        ``length`` and the environment's events, means per episode of the bin; ``steps`` of each run, those
+        before `start` included; with `evaluate_every`, ``greedy_return`` over ``checkpoint``; with
         `keep_learned`, ``learned`` or its parts. Attributes: every setting (``"swept"`` where there
         is an axis), the versions, the key, ``seconds`` (``compile_seconds`` apart, if this process
         compiles) and ``complete``; after a keyboard interrupt the unfinished runs are NaN and

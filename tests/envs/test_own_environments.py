@@ -349,12 +349,12 @@ def test_a_run_that_is_compiled_by_its_user_has_the_same_errors():
 
 def test_what_is_right_is_looked_at_once(monkeypatch: pytest.MonkeyPatch):
     env, params = Corridor(spare=9), concrete_params(Numbers())
-    swept = {"key_reward": [0.0, 1.0]}
-    for points in ({}, swept):
+    nothing_swept, swept = [{}], [{"key_reward": 0.0}, {"key_reward": 1.0}]
+    for points in (nothing_swept, swept):
         check_before_training(env, params, points)
     monkeypatch.setattr(jax, "eval_shape", None)
     monkeypatch.setattr(jax, "jit", None)
-    for points in ({}, swept):
+    for points in (nothing_swept, swept):
         check_before_training(Corridor(spare=9), params, points)
 
 
@@ -409,9 +409,10 @@ def test_rewards_may_depend_on_the_limit_of_steps():
 def test_few_of_many_combinations_of_swept_numbers_are_looked_at(monkeypatch: pytest.MonkeyPatch):
     looked_at: list[Any] = []
     monkeypatch.setattr(checks, "check_values", lambda env, points, sample: looked_at.extend(points))
-    values = np.linspace(0, 1, 1000).tolist()
+    values = np.linspace(0, 1, 100).tolist()
     numbers = concrete_params(Numbers(max_steps=9))
-    check_before_training(Corridor(), numbers, {"key_reward": values, "slip_probability": values})
+    swept = [{"key_reward": reward, "slip_probability": slip} for reward in values for slip in values]
+    check_before_training(Corridor(), numbers, swept)
     assert len(set(looked_at)) == len(looked_at) <= 16
     assert looked_at[0] == Numbers(0.0, 0.0, 9)
     assert looked_at[-1] == Numbers(1.0, 1.0, 9)

@@ -281,3 +281,46 @@ def test_curves_of_another_statistic_say_so():
     ax = learning_curves(data, "length", statistic="interquartile_mean")
     np.testing.assert_allclose(ax.lines[0].get_ydata(), stats.interquartile_mean(data["length"]))
     assert ax.get_ylabel() == "steps per episode (steps), interquartile mean"
+
+
+POINTS = {"step_size": [0.05, 0.8, 0.2], "epsilon": [0.3, 0.1, 0.2]}
+
+
+def of_points() -> xr.DataArray:
+    """One number a run of three points; the second is the best."""
+    coordinates = {"point": np.arange(3), **{name: ("point", values) for name, values in POINTS.items()}}
+    values = np.array([-40.0, -20, -30])[:, None] + np.linspace(-1, 1, 5)
+    return xr.DataArray(values, coordinates, ("point", "seed"), "return")
+
+
+def test_points_are_coloured_dots_with_a_ring_around_the_best():
+    ax = heat_map(of_points(), "step_size", "epsilon")
+    (dots,) = ax.collections
+    np.testing.assert_array_equal(dots.get_offsets(), np.transpose(list(POINTS.values())))
+    np.testing.assert_allclose(dots.get_array(), [-40, -20, -30])
+    (ring,) = ax.lines
+    assert ring.get_xydata().tolist() == [[0.8, 0.1]]
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "linear")
+    assert heat_map(of_points(), "step_size", "epsilon", best="least").lines[0].get_xydata().tolist() == [[0.05, 0.3]]
+    assert not heat_map(of_points(), "step_size", "epsilon", best=None).lines
+
+
+def test_the_sensitivity_of_points_is_a_marker_each_with_its_interval():
+    ax = sensitivity(of_points(), "epsilon")
+    (drawn,) = ax.containers
+    markers, _, (whiskers,) = drawn
+    assert markers.get_xydata().tolist() == [[0.3, -40], [0.1, -20], [0.2, -30]]
+    interval = stats.mean_interval(of_points())
+    ends = [segment[:, 1].tolist() for segment in whiskers.get_segments()]
+    np.testing.assert_allclose(ends, np.transpose([interval["low"], interval["high"]]))
+
+
+def test_curves_of_points_say_their_hyper_parameters():
+    along = {name: values for name, values in of_points().coords.items() if name in POINTS}
+    points = xr.concat([curve()["return"]] * 3, "point").assign_coords(along)
+    ax = learning_curves(points)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
+        "step_size=0.05, epsilon=0.3 (n=6)",
+        "step_size=0.8, epsilon=0.1 (n=6)",
+        "step_size=0.2, epsilon=0.2 (n=6)",
+    ]
