@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-BLOCK = 32
+BLOCK = 64
 """Positions in a block of random words; a power of two. No tally goes on over the end of its block."""
 
 _WIDTH = BLOCK.bit_length()
