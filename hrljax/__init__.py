@@ -45,6 +45,7 @@ from hrljax.sweeps.axes import Points, points  # noqa: E402
 from hrljax.sweeps.estimate import estimate  # noqa: E402
 from hrljax.sweeps.io import load, save  # noqa: E402
 from hrljax.sweeps.learned import Learned  # noqa: E402
+from hrljax.sweeps.logs import CSVLog, TensorBoardLog  # noqa: E402
 from hrljax.sweeps.processes import processes  # noqa: E402
 from hrljax.sweeps.sweep import sweep  # noqa: E402
 
@@ -61,6 +62,7 @@ __all__ = [
     "MAXQ0",
     "SARSA",
     "Abstraction",
+    "CSVLog",
     "DynaQ",
     "Environment",
     "Fading",
@@ -85,6 +87,7 @@ __all__ = [
     "SharedHORDQ",
     "Subtask",
     "TabularEnvironment",
+    "TensorBoardLog",
     "best_first_search",
     "bottleneck_options",
     "check",

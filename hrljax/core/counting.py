@@ -27,6 +27,11 @@ class Count(NamedTuple):
         """How much can be added until the low half is 0 again: from 1 to `most`, int32."""
         return lax.min(~self.low, np.uint32(most - 1)).astype(jnp.int32) + 1
 
+    def reaches(self, number: int) -> Array:
+        """Whether the count is at least `number` (bool)."""
+        low, high = np.uint32(number % 2**32), np.uint32(number >> 32)
+        return (self.high > high) | ((self.high == high) & (self.low >= low))
+
     def as_float(self) -> Array:
         """The nearest float32, or one beside it."""
         return self.high.astype(jnp.float32) * np.float32(2**32) + self.low.astype(jnp.float32)

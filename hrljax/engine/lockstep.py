@@ -47,7 +47,7 @@ class Lockstep(Trainer):
         before_any: OfBin = (self._no_sums().value, jnp.float32(0), jnp.int32(0))
 
         def turn(now: _Bins) -> _Bins:
-            goes_on = now.number < count
+            goes_on = self._goes_on(now, count)
             # Of a run that only waits for others no episode is left.
             end = lax.select(goes_on, self._end_of_bin(bin_size, first + now.number), jnp.int32(0))
             progress = self._block(*self._planned_if_due(now.progress, end))
@@ -62,9 +62,17 @@ class Lockstep(Trainer):
 
         records = jax.tree.map(lambda one: jnp.zeros((count + 1) * one.size, one.dtype), before_any)
         begin = _Bins(start, jnp.int32(0), start.steps, records)
-        last = lax.while_loop(lambda now: any_run(now.number < count), turn, begin)
+        last = lax.while_loop(lambda now: any_run(self._goes_on(now, count)), turn, begin)
         shaped = jax.tree.map(lambda all, one: all.reshape(-1, *one.shape)[:count], last.records, before_any)
         return last.progress, shaped
+
+    def _goes_on(self, now: _Bins, count: int) -> Array:
+        """Whether the run has bins left: a run that takes no more steps finishes the bin that it is in."""
+        has_bins = now.number < count
+        if self.num_steps is None:
+            return has_bins
+        is_in_bin = now.progress.steps.minus(now.steps_before).reaches(1)
+        return has_bins & (is_in_bin | ~jnp.asarray(self._is_stopped(now.progress.steps)))
 
     def _block(self, progress: Progress, end: Array) -> Progress:
         words, most = self.simulator.block(self.key, progress.steps), progress.steps.room(BLOCK)

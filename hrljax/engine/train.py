@@ -1,5 +1,7 @@
 """One run: an environment, a learner and a key give what was learned and its curve."""
 
+from collections.abc import Sequence
+
 from jax import Array
 from jax.core import Tracer
 
@@ -13,6 +15,7 @@ from hrljax.envs.base import AnyEnvironment, Environment, TabularEnvironment, nu
 from hrljax.envs.checks import check_before_training, check_declarations
 from hrljax.learners.base import AnyLearner, Learner
 from hrljax.learners.hyperparameters import with_tabulated_schedules
+from hrljax.learners.measured import Measure, Measured, checked_measures
 
 
 def train(
@@ -25,6 +28,8 @@ def train(
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     start: Startable | Start | None = None,
+    num_steps: int | None = None,
+    measures: Sequence[Measure] = (),
 ) -> Run:
     """Trains a learner for a number of episodes. Pure, for one seed; jit and vmap it.
 
@@ -42,12 +47,16 @@ def train(
         start: what training goes on from, a `Run` or a `hrljax.Learned`; from scratch if None. With the
             same key, a run of 500 episodes and 500 more give the same bits as one of 1000; a schedule is
             read on from the episode where the first run ended.
+        num_steps: the run ends early, after the bin in which it has taken so many primitive steps, those before `start`
+            included; later bins are NaN. Never early if None.
+        measures: further metrics, ``"discounted_return"`` (with the learner's discount) and ``"average_reward"`` (per
+            step); see `hrljax.learners.measured.Measured`. They change nothing else.
 
     Raises:
         TypeError, ValueError: a bad argument, or an environment that is not as `hrljax.check` wants it;
             before anything is compiled.
     """
-    return run_once(env, learner, key, num_episodes, params, bin_size, evaluate_every, start)
+    return run_once(env, learner, key, num_episodes, params, bin_size, evaluate_every, start, num_steps, measures)
 
 
 def run_once(
@@ -59,23 +68,35 @@ def run_once(
     bin_size: int | None = None,
     evaluate_every: int | None = None,
     start: Startable | Start | None = None,
+    num_steps: int | None = None,
+    measures: Sequence[Measure] = (),
     vmapped: bool = False,
 ) -> Run:
     """`train`, with its loop built for the mapping.
 
     Args:
-        env, learner, key, num_episodes, params, bin_size, evaluate_every, start: as of `train`.
+        env, learner, key, num_episodes, params, bin_size, evaluate_every, start, num_steps, measures: as of
+            `train`.
         vmapped: how the loop is built, not what it computes. True suits `vmap`, where all runs of
             a batch take their steps together; False suits one run.
     """
     num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
+    num_steps = checked_steps(num_steps)
+    measures = checked_measures(measures)
     random.check_key(key)
     numbers = numbers_of(env, params)
     check_before_training(env, numbers, sample=not isinstance(key, Tracer))
     begin = None if start is None else checked_start(start, env, learner, num_episodes)
     learner = with_tabulated_schedules(learner, num_episodes, 0 if begin is None else begin.episodes)
-    trainer = (Lockstep if vmapped else Trainer)(env, learner, key, numbers, num_episodes, begin)
+    if measures:
+        learner = Measured(learner, measures)
+    trainer = (Lockstep if vmapped else Trainer)(env, learner, key, numbers, num_episodes, begin, num_steps)
     return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
+
+
+def checked_steps(num_steps: object) -> int | None:
+    """A number of steps, or None; raises TypeError or ValueError for anything else."""
+    return None if num_steps is None else checks.integer("num_steps", num_steps, 1, 2**63 - 1)
 
 
 def check_arguments(

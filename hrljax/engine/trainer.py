@@ -96,9 +96,10 @@ class Trainer:
         params: Numbers,
         num_episodes: int,
         start: Start | None = None,
+        num_steps: int | None = None,
     ):
         self.env, self.learner, self.params = env, learner, params
-        self.num_episodes = num_episodes
+        self.num_episodes, self.num_steps = num_episodes, num_steps
         self.start, self.first_episode = start, 0 if start is None else start.episodes
         self.key = random.key_words(key)
         self.prepared = learner.prepare(env)
@@ -128,7 +129,11 @@ class Trainer:
         reward, *others = sums.T
         events, reports = others[: len(self.env.metrics)], others[len(self.env.metrics) :]
         per_episode = [reward, length, *events, truncated.astype(jnp.float32)]
-        columns = [*(column / episodes for column in per_episode), *(column / length for column in reports)]
+        are_per_episode = (name in self.learner.reports_per_episode for name in self.learner.reports)
+        of_reports = (c / (episodes if is_so else length) for c, is_so in zip(reports, are_per_episode, strict=True))
+        columns = [*(column / episodes for column in per_episode), *of_reports]
+        if self.num_steps is not None:
+            columns = [jnp.where(length > 0, column, jnp.float32(jnp.nan)) for column in columns]
         metrics = dict(zip(metric_names(self.env, self.learner), columns, strict=True))
         return Run(last.loop.learner.tables, metrics, values, last.loop.episode, jnp.stack(last.steps))
 
@@ -136,7 +141,7 @@ class Trainer:
         """Successive bins, and what is recorded of each."""
 
         def run_bin(before: Progress, number: Array) -> tuple[Progress, OfBin]:
-            end = self._end_of_bin(bin_size, number)
+            end = self._unless_stopped(before, self._end_of_bin(bin_size, number))
             now = lax.while_loop(lambda p: p.loop.episode < end, lambda p: self._between_plans(p, end), before)
             return self._cleared_if(True, now), self._of_bin(now, before.steps)
 
@@ -155,6 +160,14 @@ class Trainer:
     def _end_of_bin(self, bin_size: int, number: Array) -> Array:
         """The episode (int32) before which a bin ends."""
         return jnp.minimum((number + 1) * bin_size, self.num_episodes) + self.first_episode
+
+    def _is_stopped(self, steps: Count) -> Flag:
+        """Whether a run that has taken so many steps takes no more."""
+        return False if self.num_steps is None else steps.reaches(self.num_steps)
+
+    def _unless_stopped(self, progress: Progress, end: Array) -> Array:
+        """The episode before which a bin ends; 0 of a run that takes no more steps."""
+        return end if self.num_steps is None else choose(self._is_stopped(progress.steps), jnp.int32(0), end)
 
     def _start(self) -> Progress:
         """Before the first step."""

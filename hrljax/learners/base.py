@@ -112,6 +112,11 @@ class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
         return ()
 
     @property
+    def reports_per_episode(self) -> tuple[str, ...]:
+        """Of `reports`, those of which columns of results are sums per episode instead of means per step."""
+        return ()
+
+    @property
     def planning_interval(self) -> int:
         """Episodes between two calls of `plan`; 0 if the learner does not plan."""
         return 0

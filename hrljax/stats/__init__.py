@@ -1,7 +1,7 @@
 """Statistics of results over seeds: labelled arrays in, labelled arrays out, unfinished runs (NaN) left out.
 
-From curves to one number a run (`curves`), from runs to numbers with intervals (`intervals`,
-`resampling`), from two learners to how they compare (`comparisons`), and from many settings to the best (`selection`).
+From curves to one number a run (`curves`), from runs to numbers with intervals (`intervals`, `resampling`), from two
+learners to how they compare (`comparisons`), from many settings to the best (`selection`), to a table (`tables`).
 """
 
 from hrljax.stats.comparisons import paired_differences, probability_of_improvement
@@ -9,10 +9,12 @@ from hrljax.stats.curves import against_steps, area_under_curve, episode_range, 
 from hrljax.stats.intervals import bootstrap_interval, estimate, interquartile_mean, mean, mean_interval
 from hrljax.stats.resampling import Method, Statistic
 from hrljax.stats.selection import best
+from hrljax.stats.tables import Table, table
 
 __all__ = [
     "Method",
     "Statistic",
+    "Table",
     "against_steps",
     "area_under_curve",
     "best",
@@ -26,4 +28,5 @@ __all__ = [
     "paired_differences",
     "probability_of_improvement",
     "smoothed",
+    "table",
 ]

@@ -114,11 +114,15 @@ def episodes_to_reach(
     if window is not None:
         if along != "episode":
             raise ValueError(f"window must be None along {along!r}, got {window!r}")
-        average = smoothed(values, window).isel(episode=slice(_bins_in(window, values, along) - 1, None))
+        average = (
+            smoothed(values, window)
+            .where(values.notnull())
+            .isel(episode=slice(_bins_in(window, values, along) - 1, None))
+        )
     reached = average >= threshold
     time = average[along].astype(np.float64)
     first = time.where(reached, np.inf).min(along)
-    return first.where(values.notnull().all(along)).assign_attrs(
+    return first.where(values.notnull().any(along)).assign_attrs(
         {"long_name": f"episodes to reach {threshold:.4g}", "units": "episodes"}
     )
 
@@ -149,7 +153,8 @@ def against_steps(curves: xr.Dataset, variable: str = "return", num: int = 200) 
     checks.integer("num", num, 1)
     values, length = curves[variable], curves["length"]
     bins = xr.DataArray(np.diff(values["episode"].values, prepend=0), coords={"episode": values["episode"]})
-    ends = (length * bins).cumsum("episode", skipna=False)
+    finished = length.isel(episode=0).notnull()
+    ends = (length.fillna(0) * bins).cumsum("episode").where(finished)  # no length: steps had stopped the run before
     total = float(ends.isel(episode=-1).min())
     if not np.isfinite(total):
         raise ValueError("curves must have a finished run, got none")

@@ -20,6 +20,7 @@ from hrljax.sweeps.versions import Attributes
 if TYPE_CHECKING:
     import xarray as xr
 
+NUM_STEPS = "num_steps"
 _EPISODES_BEFORE = "episodes_before"
 
 
@@ -43,7 +44,12 @@ class Continuation(NamedTuple):
 
 
 def episodes_of(dataset: xr.Dataset) -> int:
-    """The episodes that the runs of a sweep have learned from, those before it included."""
+    """The episodes that the runs of a sweep have learned from, those before it included.
+
+    Where steps stop runs, those of the one run that the dataset then has to hold.
+    """
+    if NUM_STEPS in dataset.attrs:
+        return int(dataset["episode"].where(dataset["return"].notnull()).max())
     return int(dataset.attrs.get(_EPISODES_BEFORE, 0)) + int(dataset.attrs["num_episodes"])
 
 
@@ -67,6 +73,11 @@ def continuation(
             f"start must be a dataset of hrljax.sweep(..., keep_learned=True) or a hrljax.Learned, got {start!r}"
         )
     check_origin("start", start, env, learner)
+    if NUM_STEPS in start.attrs:
+        raise ValueError(
+            "start was stopped by num_steps, so that its runs have learned from different numbers of episodes; "
+            "go on from one of them, a hrljax.Learned"
+        )
     names = names_of_tables("start", start)
     runs = _runs(start, grid)
     named = {name: _rows(runs[name], grid) for name in names}

@@ -17,6 +17,7 @@ from hrljax.engine import batch
 from hrljax.engine.start import learned_bytes
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.learners.measured import Measure
 from hrljax.sweeps.axes import Points
 from hrljax.sweeps.job import Job
 from hrljax.sweeps.request import SweepRequest
@@ -70,6 +71,8 @@ def estimate(
     chunk_size: int | None = None,
     workers: int | None = None,
     store: bool = False,
+    num_steps: int | None = None,
+    measures: Sequence[Measure] = (),
 ) -> Estimate:
     """Says what `hrljax.sweep` with the same arguments will take; takes some seconds itself.
 
@@ -79,7 +82,7 @@ def estimate(
 
     Args:
         env: as of `hrljax.sweep`, and so are `learner`, `seeds`, `num_episodes`, `axes`, `key`, `params`, `bin_size`,
-            `evaluate_every`, `keep_learned`, `mapping`, `cores` and `chunk_size`.
+            `evaluate_every`, `keep_learned`, `mapping`, `cores`, `chunk_size`, `num_steps` and `measures`.
         workers: processes of the executor that the sweep will use, each with one core; none if None.
         store: whether the sweep will have a store.
 
@@ -102,6 +105,8 @@ def estimate(
         evaluate_every=evaluate_every,
         keep_learned=keep_learned,
         mapping=mapping,
+        num_steps=num_steps,
+        measures=measures,
     )
     length, chunks = request.chunks(cores, chunk_size, portable=store or workers is not None)
     is_vmapped, num_runs = request.mapping == "vmap", request.grid.num_runs
@@ -134,10 +139,11 @@ class _Measured:
         few = np.unique(np.linspace(0, points - 1, min(points, _POINTS)).astype(int)) * grid.seeds
         index = np.arange(length) if self.is_vmapped else few
         self.rows = jax.tree.map(lambda a: a[index], request.rows)
+        self.num_steps = job.num_steps
         self.count, self.episodes = len(index), min(job.num_episodes, _EPISODES)
         size = -(-self.episodes // _BINS)
         short = dataclasses.replace(
-            job, num_episodes=self.episodes, bin_size=size, evaluate_every=None, keep_learned=False
+            job, num_episodes=self.episodes, bin_size=size, evaluate_every=None, keep_learned=False, num_steps=None
         )
         self.compile_seconds, self.seconds, values = self._timed(short)
         self.steps = values["steps"].astype(np.float64)  # [runs]
@@ -161,7 +167,8 @@ class _Measured:
 
     def steps_per_run(self, num_episodes: int) -> np.ndarray:
         """``[runs]``: steps of whole runs."""
-        return self.steps + (num_episodes - self.episodes) * self.last_length
+        whole = self.steps + (num_episodes - self.episodes) * self.last_length
+        return whole if self.num_steps is None else np.minimum(whole, np.maximum(self.num_steps, self.steps))
 
     def chunk_seconds(self, job: Job, length: int) -> float:
         whole = self.steps_per_run(job.num_episodes)

@@ -20,6 +20,7 @@ from hrljax.engine.start import Start, learned_bytes, named_leaves, steps_of
 from hrljax.engine.train import run_once
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.learners.measured import Measure
 from hrljax.sweeps.axes import of_env, of_learner
 
 STEPS = "steps"
@@ -74,6 +75,8 @@ class Job:
     mapping: batch.Mapping
     first_episode: int = 0
     """Episodes that runs have learned from before they start."""
+    num_steps: int | None = None
+    measures: tuple[Measure, ...] = ()
 
     def run(self, row: Rows) -> RunValues[Array]:
         """Trains one run."""
@@ -86,6 +89,8 @@ class Job:
             bin_size=self.bin_size,
             evaluate_every=self.evaluate_every,
             start=Start(episodes=self.first_episode, **row["start"]) if "start" in row else None,
+            num_steps=self.num_steps,
+            measures=self.measures,
             vmapped=self.mapping == "vmap",
         )
         values = {**result.metrics, STEPS: result.step_words}

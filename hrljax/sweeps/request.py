@@ -18,13 +18,14 @@ from hrljax.core.environment import Numbers
 from hrljax.engine import batch
 from hrljax.engine.run import bin_sizes, default_bin_size
 from hrljax.engine.start import Startable
-from hrljax.engine.train import check_arguments
+from hrljax.engine.train import check_arguments, checked_steps
 from hrljax.envs.base import AnyEnvironment, numbers_of
 from hrljax.envs.checks import check_before_training
 from hrljax.learners.base import AnyLearner
+from hrljax.learners.measured import Measure, checked_measures
 from hrljax.sweeps import fingerprint
 from hrljax.sweeps.axes import Points, checked_axes, of_env
-from hrljax.sweeps.continuation import Continuation, continuation
+from hrljax.sweeps.continuation import NUM_STEPS, Continuation, continuation
 from hrljax.sweeps.job import CHECKPOINT, EPISODE, Job, Rows
 from hrljax.sweeps.schema import Grid, Schema, variables_of
 from hrljax.sweeps.versions import Attributes
@@ -65,6 +66,8 @@ class SweepRequest:
         keep_learned: bool,
         mapping: batch.Mapping,
         start: xr.Dataset | Startable | None = None,
+        num_steps: int | None = None,
+        measures: Sequence[Measure] = (),
     ) -> SweepRequest:
         """The request with these arguments of `hrljax.sweep`.
 
@@ -89,6 +92,7 @@ class SweepRequest:
             raise ValueError(f"evaluate_every must be at most the number of bins, got {evaluate_every}")
         batch.resolve_mapping(mapping)
         job = Job(env, learner, numbers, num_episodes, bin_size, evaluate_every, keep_learned, mapping)
+        job = dataclasses.replace(job, num_steps=checked_steps(num_steps), measures=checked_measures(measures))
         if start is None:
             return cls(job, grid, root_key, None)
         begin = continuation(start, env, learner, grid, num_episodes)
@@ -145,6 +149,8 @@ class SweepRequest:
             **fingerprint.attributes(job.env, job.learner, job.params, self.key, self.grid.axes),
             "num_episodes": job.num_episodes,
             "bin_size": job.bin_size,
+            **({} if job.num_steps is None else {NUM_STEPS: job.num_steps}),
+            **({"measures": ", ".join(job.measures)} if job.measures else {}),
             **({} if self.start is None else self.start.attributes()),
         }
 

@@ -24,6 +24,8 @@ _COORDINATES = "coordinates"
 """Attribute of a store by which xarray tells coordinates that are no dimensions from variables (CF conventions, 5)."""
 _DESCRIPTIONS = {
     "return": {"long_name": "return per episode"},
+    "discounted_return": {"long_name": "discounted return per episode"},
+    "average_reward": {"long_name": "reward per step"},
     "length": {"long_name": "steps per episode", "units": "steps"},
     EPISODE: {"long_name": "last episode of the bin", "units": "episodes"},
 }

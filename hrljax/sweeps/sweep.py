@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from jax import Array
 
 from hrljax.core import checks
@@ -18,8 +19,10 @@ from hrljax.engine import batch
 from hrljax.engine.start import Startable
 from hrljax.envs.base import AnyEnvironment
 from hrljax.learners.base import AnyLearner
+from hrljax.learners.measured import Measure
 from hrljax.sweeps.axes import Points
 from hrljax.sweeps.job import Chunk
+from hrljax.sweeps.logs import Callback, finished_runs
 from hrljax.sweeps.request import SweepRequest
 from hrljax.sweeps.schema import dataset
 from hrljax.sweeps.store import Store
@@ -48,6 +51,9 @@ def sweep(
     store: str | Path | None = None,
     allow_other_versions: bool = False,
     start: xr.Dataset | Startable | None = None,
+    num_steps: int | None = None,
+    measures: Sequence[Measure] = (),
+    callback: Callback | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
     """Trains a learner for every combination of hyper-parameters and seed.
@@ -86,6 +92,14 @@ def sweep(
             every run goes on from the one with its seed and its values along the axes that the dataset
             has, and with the same `key` two sweeps of 500 episodes give the bits of one of 1000. Or a
             `hrljax.Learned`, from which every run goes on.
+        num_steps: every run ends early, after the bin in which it has taken so many primitive steps, those before
+            `start` included; its later bins are NaN. Never early if None.
+        measures: further variables, means of each bin as ``return`` is: ``"discounted_return"`` (per episode, with the
+            learner's discount) and ``"average_reward"`` (per step). They change nothing else.
+        callback: called in this thread with finished runs as soon as there are some: a dataset with a dimension ``run``
+            in place of those of the axes and seeds, which are coordinates along it. Runs that `store` has already
+            come first. `hrljax.CSVLog` and `hrljax.TensorBoardLog` are such functions. What it raises ends the sweep;
+            a keyboard interrupt that falls into it has it called again with the same runs.
         progress: whether to show a progress bar.
 
     Returns:
@@ -114,6 +128,8 @@ def sweep(
     store = None if store is None else checks.path("store", store)
     checks.flag("allow_other_versions", allow_other_versions)
     checks.flag("progress", progress)
+    if callback is not None:
+        checks.function("callback", callback, "of a dataset of finished runs")
     request = SweepRequest.checked(
         env,
         learner,
@@ -127,6 +143,8 @@ def sweep(
         keep_learned=keep_learned,
         mapping=mapping,
         start=start,
+        num_steps=num_steps,
+        measures=measures,
     )
     attributes = dict(request.attributes if store is None else request.identity)
     title = f"{type(learner).__name__} on {env.name}" if progress else None
@@ -140,6 +158,17 @@ def sweep(
         collected = batch.Collected(request.grid.num_runs)
         if disk is not None:
             chunks = disk.restore(chunks, collected)
+            if callback is not None and collected.finished.any():
+                before = np.flatnonzero(collected.finished)
+                values = {name: values[before] for name, values in collected.values.items()}
+                callback(finished_runs(request.schema(length), before, values))
+
+        def keep(chunk: range, values: Chunk) -> None:
+            if disk is not None:
+                disk.write(chunk, values)
+            if callback is not None:
+                callback(finished_runs(request.schema(length), np.array(chunk), values))
+
         started = time.perf_counter()
         run: Callable[..., Chunk] = request.job.sent() if executor is not None else request.job
         if chunks and executor is None:
@@ -155,7 +184,7 @@ def sweep(
             chunks=chunks,
             executor=executor,
             collected=collected,
-            keep=None if disk is None else disk.write,
+            keep=keep,
             progress=title,
         )
         complete = bool(results.finished.all())
