@@ -119,6 +119,33 @@ def discovered_options() -> Figure:
     return figure
 
 
+def linear_dyna() -> Figure:
+    env = hrl.make("Bus")
+    features, subtasks = hrl.variable_features(env), {"hierarchy": env.hierarchy(), "initial_value": -25.0}
+    learners = {
+        "HORDQ under a linear root": hrl.SharedHORDQ(root=hrl.LinearRoot(features), **subtasks),
+        "HORDQ under the model-based root": hrl.SharedHORDQ(root=hrl.ModelRoot(), **subtasks),
+        "Q-learning": hrl.QLearning(initial_value=-25.0),
+        "linear Dyna alone": hrl.LinearDyna(features, initial_value=-25.0),
+    }
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    short = {
+        name: hrl.sweep(env, learner, seeds=20, num_episodes=500, progress=False) for name, learner in learners.items()
+    }
+    hrl.plots.learning_curves(short, window=20, ax=left)
+    left.set_title("Bus, 20 seeds")
+    del learners["linear Dyna alone"]
+    long = {
+        name: hrl.sweep(env, learner, seeds=20, num_episodes=20_000, progress=False)
+        for name, learner in learners.items()
+    }
+    hrl.plots.learning_curves(long, window=1000, ax=right, references={"optimum": -24.59})
+    right.set_ylim(-80, -23)
+    right.set_title("the same for longer")
+    return figure
+
+
 def hamq() -> Figure:
     hierarchy = hrl.make("Taxi").hierarchy()
     return taxi({"HAMQ": hrl.HAMQ(hierarchy, step_size=0.5), "Q-learning": hrl.QLearning(step_size=0.5)})
@@ -174,6 +201,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         r_max,
         options,
         discovered_options,
+        linear_dyna,
         hamq,
         maxq,
         hordq,

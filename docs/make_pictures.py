@@ -12,6 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -99,6 +102,42 @@ def gridworld() -> Figure:
     hrl.plots.policy(cliff, hrl.solvers.value_iteration(slippery).policy, right)
     left.set_title("map='four_rooms', the default: optimal policy")
     right.set_title("map='cliff' with slip_probability=0.2: optimal policy")
+    return figure
+
+
+@picture("environments/boyanchain")
+def boyan_chain() -> Figure:
+    """Errors after so many episodes, each by runs of their own."""
+    env = hrl.make("BoyanChain")
+    matrix, episodes = env.interpolation(), np.array([1, 10, 25, 50, 75, 100])
+    optimum = np.asarray(hrl.solvers.value_iteration(env.model()).value)
+
+    def step_size(episode: Any) -> Any:
+        return 10.1 / (100 + (jnp.asarray(episode, jnp.float32) + 1) ** 1.1)
+
+    kinds: dict[str, dict[str, Any]] = {
+        "no planning, TD(0)": {"planning_steps": 0},
+        "planning at random": {"planning": "random"},
+        "MG prioritized sweeping": {"planning": "mg"},
+    }
+    figure = Figure(figsize=(7.5, 4), layout="constrained")
+    ax = figure.subplots()
+    for name, options in kinds.items():
+        learner = hrl.LinearDyna(
+            hrl.Features.from_dense(matrix), step_size=step_size, model_step_size=step_size, **options
+        )
+        errors = []
+        for number in episodes.tolist():
+            runs = jax.jit(
+                lambda keys, n=number, learner=learner: jax.lax.map(lambda key: hrl.train(env, learner, key, n), keys)
+            )
+            theta = np.asarray(runs(jax.random.split(jax.random.key(0), 30)).learned.theta)
+            errors.append(np.sqrt(((theta @ matrix.T - optimum) ** 2).mean(1)))
+        middle, spread = np.mean(errors, 1), np.std(errors, 1) / 30**0.5
+        ax.plot(episodes, middle, marker=".", label=name)
+        ax.fill_between(episodes, middle - 2 * spread, middle + 2 * spread, alpha=0.3)
+    ax.set(yscale="log", xlabel="episodes", ylabel="root mean squared error", title="Boyan chain, 30 runs")
+    ax.legend()
     return figure
 
 

@@ -23,9 +23,11 @@ from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover  # noqa: 
 from hrljax.hierarchy.tables import tabulate  # noqa: E402
 from hrljax.learners.dyna import DynaQ  # noqa: E402
 from hrljax.learners.fading import Fading  # noqa: E402
+from hrljax.learners.features import Features, tile_features, variable_features  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0  # noqa: E402
+from hrljax.learners.linear_dyna import LinearDyna  # noqa: E402
 from hrljax.learners.options.definition import Options, options_from, primitive_options  # noqa: E402
 from hrljax.learners.options.discovery import bottleneck_options, eigen_options  # noqa: E402
 from hrljax.learners.options.learner import OptionQ  # noqa: E402
@@ -35,6 +37,7 @@ from hrljax.learners.relational.learner import RelationalHORDQ  # noqa: E402
 from hrljax.learners.relational.multiway_model import MultiwayModel  # noqa: E402
 from hrljax.learners.relational.search_root import SearchRoot  # noqa: E402
 from hrljax.learners.rmax import RMax  # noqa: E402
+from hrljax.learners.roots.linear import LinearRoot  # noqa: E402
 from hrljax.learners.roots.model import ModelRoot  # noqa: E402
 from hrljax.learners.roots.random import RandomRoot  # noqa: E402
 from hrljax.learners.shared import SharedHORDQ  # noqa: E402
@@ -66,8 +69,11 @@ __all__ = [
     "DynaQ",
     "Environment",
     "Fading",
+    "Features",
     "Hierarchy",
     "Learned",
+    "LinearDyna",
+    "LinearRoot",
     "MarioDynamics",
     "MarioModel",
     "ModelRoot",
@@ -109,8 +115,10 @@ __all__ = [
     "stats",
     "sweep",
     "tabulate",
+    "tile_features",
     "total_leaf_cover",
     "train",
+    "variable_features",
 ]
 
 

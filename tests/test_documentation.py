@@ -155,7 +155,7 @@ LEARNERS = sorted(
 )
 
 
-@pytest.mark.parametrize("name", [*LEARNERS, "ModelRoot", "RandomRoot", "SearchRoot", "Fading"])
+@pytest.mark.parametrize("name", [*LEARNERS, "LinearRoot", "ModelRoot", "RandomRoot", "SearchRoot", "Fading"])
 def test_every_learner_has_a_page_with_its_curve_and_its_rule(name: str):
     """A page in docs/learners that points to its API."""
     pages = [page.read_text() for page in (ROOT / "docs" / "learners").glob("*.md")]

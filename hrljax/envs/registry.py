@@ -9,6 +9,7 @@ import gymnasium
 
 from hrljax.core import checks
 from hrljax.envs.base import AnyEnvironment
+from hrljax.envs.boyan import BoyanChain
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.gridworld import Gridworld
 from hrljax.envs.grid.maze import Maze
@@ -79,5 +80,5 @@ def _check_options_known(name: str, options: dict[str, object]) -> None:
     raise TypeError(f"{name} has no option {unknown[0]!r}; its options are {', '.join(parameters) or 'none'}")
 
 
-for _environment in (Bus, Gridworld, Mario, Maze, Taxi):
+for _environment in (BoyanChain, Bus, Gridworld, Mario, Maze, Taxi):
     register(_environment.name, _environment)

@@ -41,7 +41,7 @@ def test_what_is_of_the_wrong_type_is_refused(make: Callable[[], object], messag
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: hrl.make("bus"), "unknown environment 'bus'; known are Bus, "),
+        (lambda: hrl.make("bus"), "unknown environment 'bus'; known are BoyanChain, Bus, "),
         (lambda: hrl.make("Taxi", rules=["gymnasium"]), r"rules must be one of 'dietterich', 'gymnasium', got \['gym"),
         (
             lambda: hrl.make("Mario", preset=["thesis"]),

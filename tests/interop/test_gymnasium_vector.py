@@ -65,6 +65,7 @@ def test_steps_infos_and_ends_are_those_of_single_environments(mode: AutoresetMo
 
 
 QUICK: dict[str, dict[str, Any]] = {
+    "BoyanChain": {"length": 12, "params": {"max_steps": 9}},
     "Bus": {"params": {"max_steps": 9, "breakdown_probability": 1.0, "road_change_probability": 0.5}},
     "Gridworld": {"map": "cliff", "params": {"max_steps": 9, "slip_probability": 0.5}},
     "Maze": {"params": {"max_steps": 9, "slip_probability": 0.5}},
