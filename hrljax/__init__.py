@@ -28,6 +28,7 @@ from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0  # noqa: E402
 from hrljax.learners.linear_dyna import LinearDyna  # noqa: E402
+from hrljax.learners.mario.a_star import MarioAStar  # noqa: E402
 from hrljax.learners.options.definition import Options, options_from, primitive_options  # noqa: E402
 from hrljax.learners.options.discovery import bottleneck_options, eigen_options  # noqa: E402
 from hrljax.learners.options.learner import OptionQ  # noqa: E402
@@ -42,6 +43,7 @@ from hrljax.learners.roots.model import ModelRoot  # noqa: E402
 from hrljax.learners.roots.random import RandomRoot  # noqa: E402
 from hrljax.learners.shared import SharedHORDQ  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
+from hrljax.search.a_star import a_star_search  # noqa: E402
 from hrljax.search.best_first import best_first_search  # noqa: E402
 from hrljax.solvers import sweeps as _sweeps  # noqa: E402
 from hrljax.sweeps.axes import Points, points  # noqa: E402
@@ -74,6 +76,7 @@ __all__ = [
     "Learned",
     "LinearDyna",
     "LinearRoot",
+    "MarioAStar",
     "MarioDynamics",
     "MarioModel",
     "ModelRoot",
@@ -94,6 +97,7 @@ __all__ = [
     "Subtask",
     "TabularEnvironment",
     "TensorBoardLog",
+    "a_star_search",
     "best_first_search",
     "bottleneck_options",
     "check",

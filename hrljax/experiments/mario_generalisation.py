@@ -22,7 +22,7 @@ from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.rows import Row, interval_row
-from hrljax.learners.base import Context
+from hrljax.learners.base import AnyLearner, Context
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
 from hrljax.sweeps.learned import Learned
 from hrljax.sweeps.sweep import sweep
@@ -42,6 +42,7 @@ class LevelSet:
     difficulties: tuple[int, ...]
     each: int
     first_seed: int
+    actions: Literal["all", "thesis"] = "thesis"
 
     @cached_property
     def table(self) -> list[tuple[int, int, int]]:
@@ -53,7 +54,7 @@ class LevelSet:
     def environment(self) -> Mario:
         """Mario by the thesis's rules, an episode on a random one of the levels."""
         levels = (generate_level(seed, t, d) for t, d, seed in self.table)
-        return Mario(levels=tuple(map(to_ascii, levels)), preset="thesis")
+        return Mario(levels=tuple(map(to_ascii, levels)), preset="thesis", actions=self.actions)
 
 
 TRAINED_ON = {
@@ -72,47 +73,60 @@ def frozen(learner: RelationalHORDQ) -> RelationalHORDQ:
     return learner.replaced({"epsilon": 0.0, "step_size": 0.01})
 
 
-def play_levels(
-    env: Mario, learner: RelationalHORDQ, tables: Tables, cores: int | None = None
-) -> dict[str, np.ndarray]:
-    """Plays every level once, without exploring or learning.
+class LevelPlayer:
+    """Plays levels without exploring or learning; compiled once for all of them.
 
     Args:
         env: the levels.
-        learner: what decides; without schedules.
-        tables: what it has learned; may come from an environment of other levels.
+        learner: what decides, at every step as at the first of an episode; without schedules.
         cores: cores to use; all if None.
-
-    Returns:
-        By name, for every level: ``win``, ``distance`` (tiles), ``length`` (steps), ``return``; ``[L]`` float32.
     """
-    prepared, params = learner.prepare(env), env.default_params
 
-    def game(row: tuple[Array, Tables]) -> dict[str, Array]:
+    def __init__(self, env: Mario, learner: AnyLearner, cores: int | None = None):
+        self.env, self.learner, self.cores = env, learner, cores
+        self._prepared = learner.prepare(env)
+        self._mapping: Literal["native", "vmap"] = batch.resolve_mapping("auto")
+        self._compiled = batch.compile_mapped(self._game, self._mapping, nested=env.has_loops)
+
+    def untrained(self) -> Any:
+        """The learner's tables before it has learned anything."""
+        return jax.tree.map(np.asarray, self.learner.init(self.env, self._prepared).tables)
+
+    def play(self, tables: Any, levels: Sequence[int] | None = None) -> dict[str, np.ndarray]:
+        """Plays some levels, each once.
+
+        Args:
+            tables: what the learner has learned; may come from an environment of other levels.
+            levels: numbers of the levels; all if None.
+
+        Returns:
+            By name, for every level: ``win``, ``distance`` (tiles), ``length`` (steps), ``return``; ``[L]`` float32.
+        """
+        numbers = np.asarray(range(self.env.course.num_levels) if levels is None else levels, np.int32)
+        everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(numbers), *np.shape(leaf))), tables)
+        rows = (numbers, everywhere)
+        results = batch.run_many(self._compiled, rows, mapping=self._mapping, cores=self.cores, chunk_size=1)
+        if not results.finished.all():
+            raise KeyboardInterrupt
+        return results.values
+
+    def _game(self, row: tuple[Array, Any]) -> dict[str, Array]:
         level, tables = row
+        env, learner = self.env, self.learner
         zero = opaque_zero(level.astype(jnp.uint32))
         context = Context(jnp.int32(0), jnp.bool_(True), zero)
         words = (jnp.uint32(0),) * learner.num_begin_words
 
         def step(carry: tuple[Episode, Array, Events]) -> tuple[Episode, Array, Events]:
             state, _, sums = carry
-            action = learner.action(learner.begin(prepared, tables, state, words, context))
-            state, reward, terminated, info = env.transition(state, action, (), params)
+            action = learner.action(learner.begin(self._prepared, tables, state, words, context))
+            state, reward, terminated, info = env.transition(state, action, (), env.default_params)
             new = {"win": info["win"], "distance": info["distance"], "length": jnp.float32(1), "return": reward}
             return state, terminated, {name: sums[name] + jnp.float32(value) for name, value in new.items()}
 
         sums: dict[str, Array] = {name: jnp.float32(0) for name in _COUNTED}
         start = (begin(env.course, level, env.quantum), jnp.bool_(False), sums)
         return lax.while_loop(lambda carry: ~carry[1], step, start)[2]
-
-    mapping = batch.resolve_mapping("auto")
-    levels = np.arange(env.course.num_levels, dtype=np.int32)
-    everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(levels), *np.shape(leaf))), tables)
-    compiled = batch.compile_mapped(game, mapping, nested=env.has_loops)
-    results = batch.run_many(compiled, (levels, everywhere), mapping=mapping, cores=cores)
-    if not results.finished.all():
-        raise KeyboardInterrupt
-    return results.values
 
 
 def trained_tables(
@@ -141,17 +155,17 @@ def rows(
         report(name)
         playing = frozen(learner)
         if name == UNTRAINED:
-            playing = playing.replaced({"pseudo_reward": mario_hybrid.FOLLOWS})
-            env = played.environment
-            tables = [jax.tree.map(np.asarray, learner.init(env, learner.prepare(env)).tables)]
+            player = LevelPlayer(played.environment, playing.replaced({"pseudo_reward": mario_hybrid.FOLLOWS}), cores)
+            tables = [player.untrained()]
         else:
+            player = LevelPlayer(played.environment, playing, cores)
             tables = trained_tables(TRAINED_ON[name], learner, seeds, num_episodes, cores=cores, key=key)
-        games = [play_levels(played.environment, playing, learned, cores) for learned in tables]
+        games = [player.play(learned) for learned in tables]
         by_level = {of: np.stack([game[of] for game in games]) for of in games[0]}
-        yield list(_by_kind(name, played, by_level))
+        yield list(by_kind(name, played, by_level))
 
 
-def _by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> Iterator[Row]:
+def by_kind(name: str, played: LevelSet, by_level: dict[str, np.ndarray]) -> Iterator[Row]:
     """A row for every type and difficulty, from arrays of seeds and levels."""
     kinds = np.array([kind[:2] for kind in played.table])
     for level_type in played.level_types:

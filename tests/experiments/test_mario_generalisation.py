@@ -38,7 +38,8 @@ def test_games_are_those_that_the_learned_policy_plays_step_by_step():
     # Weights that matter beside the pseudo-reward where things are near, so that a wrong one changes a game.
     weights = jax.random.normal(jax.random.key(1), tables.weights.shape, jnp.float32) * np.float32(4)
     tables = tables._replace(weights=weights.at[-env.num_actions :].set(0))
-    games = generalisation.play_levels(env, generalisation.frozen(learner), tables, cores=1)
+    player = generalisation.LevelPlayer(env, generalisation.frozen(learner), cores=1)
+    games = player.play(tables)
 
     policy = Learned(env, learner, tables).policy()
     assert isinstance(policy, StatePolicy)
@@ -48,9 +49,10 @@ def test_games_are_those_that_the_learned_policy_plays_step_by_step():
         assert games["length"][level] == len(steps)
         assert games["return"][level] == pytest.approx(sum(step.reward for step in steps), abs=1e-2)
         assert games["win"][level] == (int(steps[-1].episode.world.player.win_time) > 0)
-    without = generalisation.play_levels(env, generalisation.frozen(learner), tables._replace(weights=weights * 0))
+    without = player.play(tables._replace(weights=weights * 0))
     assert (without["distance"] != games["distance"]).any()
     assert (games["distance"] > 5).any()
+    assert player.play(tables, [3])["return"] == games["return"][3]
 
 
 def test_rows_are_means_over_levels_and_intervals_over_seeds():
@@ -58,7 +60,7 @@ def test_rows_are_means_over_levels_and_intervals_over_seeds():
     by_level = {name: np.array([[1, 0, 0, 0], [1, 1, 0, 0]], np.float32) for name in ("win", "distance")}
     by_level |= {name: np.ones((2, 4), np.float32) for name in ("return", "length")}
     by_level["distance"] *= 200
-    easy, hard = generalisation._by_kind("some levels", played, by_level)
+    easy, hard = generalisation.by_kind("some levels", played, by_level)
     assert (easy["level_type"], easy["difficulty"], hard["difficulty"]) == (1, 0, 4)
     assert (easy["levels"], easy["seeds"]) == (2, 2)
     assert easy["finished"]["mean"] == 0.75

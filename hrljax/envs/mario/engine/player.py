@@ -23,11 +23,11 @@ from hrljax.envs.mario.engine.sprite_list import choose
 from hrljax.envs.mario.engine.state import JUMP, LEFT, RIGHT, SPEED, Player, player_height
 from hrljax.envs.mario.levels.tiles import HEIGHT, TILE
 
-_WALK, _RUN = np.float32(0.6), np.float32(1.2)
+WALK, RUN = np.float32(0.6), np.float32(1.2)
 _JUMP_SPEED, _WALL_JUMP_SPEED = np.float32(-1.9), np.float32(-2)
 _JUMP_TIME, _BOUNCE_TIME, _WALL_JUMP_TIME = 7, 8, -6
 _WALL_JUMP_SPEED_ACROSS = 6
-_FRICTION, _GRAVITY = np.float32(0.89), np.float32(3)
+FRICTION, _GRAVITY = np.float32(0.89), np.float32(3)
 _DECAY = factor(0.82)
 _HALF_WIDTH = np.float32(4)
 _GROWTH_TIME, _SHELTER_TIME = 18, 32
@@ -83,7 +83,7 @@ def steer(player: Player, keys: Array) -> Player:
     sliding = p.sliding & ~starts
     facing = lax.select(from_wall, -facing, facing)
 
-    push = lax.select(speed, _RUN, _WALK)
+    push = lax.select(speed, RUN, WALK)
     turns = time >= 0
     sliding = sliding & ~(left & (facing == 1))
     xa = lax.select(left, xa - push, xa)
@@ -176,7 +176,7 @@ def finish(player: Player, keys: Array, exit_column: Array, num_columns: int) ->
     zero = opaque_zero(keys.astype(jnp.uint32))
     player = player._replace(
         x=x,
-        xa=exact_product(_FRICTION, xa, zero),
+        xa=exact_product(FRICTION, xa, zero),
         ya=lax.select(player.on_ground, slower, slower + _GRAVITY),
         win_time=lax.select(wins, jnp.int32(1), player.win_time),
         can_shoot=~down(keys, SPEED),
