@@ -117,6 +117,15 @@ DOMAINS["child first"] = of_graph(
     {1, 2, 3},
 )
 """Outer has one action itself, the others through Inner, which is in its first slot and often ends after one step."""
+DOMAINS["halves"] = of_graph(
+    Graph(
+        {"Root": ["Even", "Odd"], "Even": [0, 1, 2, 3], "Odd": [0, 1, 2, 3]},
+        {"Root": EVERYWHERE, "Even": EVEN, "Odd": ~EVEN},
+        {"Root": ~EVERYWHERE, "Even": ~EVEN, "Odd": EVEN},
+    ),
+    {1},
+)
+"""One level of subtasks; a step into a wall teaches of the state in which the next is chosen."""
 DOMAINS |= {f"completed {name}": completed(name) for name in DOMAINS}
 NUMBERS = {"step_size": 0.5, "epsilon": 0.5, "discount": 0.93, "initial_value": -10.0}
 
@@ -134,6 +143,7 @@ CASES = {
     "HORDQ, taxi": hordq("taxi"),
     "HORDQ, grid": hordq("grid"),
     "HORDQ, grid under a random root": hordq("grid under a random root", root=hrljax.RandomRoot()),
+    "HORDQ, halves": hordq("halves", root=hrljax.RandomRoot()),
     "HORDQ on policy, grid": hordq("grid", bootstrap="on_policy"),
     "MAXQ, taxi": hrljax.MAXQ(DOMAINS["taxi"].hierarchy, pseudo_reward=7.0, **NUMBERS),
     "MAXQ0, grid": hrljax.MAXQ0(DOMAINS["grid"].hierarchy, **NUMBERS),
@@ -174,8 +184,12 @@ def both(name: str) -> tuple[hrljax.Run, Walk]:
     return run, train_in_python(program, outcomes(domain), EPISODES)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
+QUICK = {"HORDQ, halves"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in CASES]
+)
 def test_a_run_gives_the_numbers_of_plain_python(name: str):
     run, walk = both(name)
     assert int(run.steps) == walk.steps
