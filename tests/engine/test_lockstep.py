@@ -73,6 +73,19 @@ def test_runs_that_plan_together_plan_when_they_would_alone(mapping: Any, bin_si
     np.testing.assert_array_equal(swept["learned.plans"], steps_before.shape[1])
 
 
+@pytest.mark.parametrize("bin_size", [1, 7])
+def test_a_run_that_waits_does_not_begin_another_episode(bin_size: int):
+    """Where a step from the start may be the last one, a run that waits for others would take it over and over."""
+    beside_the_goal = hrljax.make("Gridworld", map="SG\n..\n..\n")
+    options = {"seeds": 5, "num_episodes": 28, "bin_size": bin_size, "keep_learned": True, "chunk_size": 5}
+    native, vmap = (
+        hrljax.sweep(beside_the_goal, hrljax.QLearning(), **options, mapping=mapping, progress=False)
+        for mapping in ("native", "vmap")
+    )
+    for variable in native:
+        np.testing.assert_array_equal(native[variable], vmap[variable], err_msg=str(variable))
+
+
 def test_runs_may_end_at_very_different_times():
     options = {"seeds": 2, "num_episodes": 40, "bin_size": 7, "axes": {"epsilon": [0.0, 1.0]}, "keep_learned": True}
     native, vmap = (

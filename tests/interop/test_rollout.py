@@ -47,6 +47,20 @@ def test_a_policy_with_a_memory_forgets_it_before_the_episode():
     assert hrl.rollout(env, policy, max_steps=3).table.identical(first.table)
     assert repr(first) == "<Rollout on Bus: 3 steps, return -3, left>"
 
+    class Turning:
+        """Takes every action in turn."""
+
+        def reset(self) -> None:
+            self.steps = -1
+
+        def __call__(self, state: int) -> int:
+            self.steps += 1
+            return self.steps % env.num_actions
+
+    turning = Turning()
+    for _ in range(2):
+        assert hrl.rollout(env, turning, max_steps=6).table["action"].values.tolist() == [0, 1, 2, 3, 0, 1]
+
 
 def test_an_episode_is_cut_off_by_the_numbers_of_the_environment():
     env = hrl.make("Taxi")
