@@ -146,6 +146,16 @@ def linear_dyna() -> Figure:
     return figure
 
 
+def feudal_q() -> Figure:
+    learners = {
+        "feudal Q-learning, 3 scales": hrl.FeudalQ(step_size=0.5),
+        "feudal Q-learning, 2 scales": hrl.FeudalQ(2, step_size=0.5),
+        "Q-learning": hrl.QLearning(step_size=0.5),
+    }
+    env = hrl.make("Gridworld", map="barrier")
+    return curves(env, learners, 150, window=5, lowest=-200, title="Barrier")
+
+
 def hamq() -> Figure:
     hierarchy = hrl.make("Taxi").hierarchy()
     return taxi({"HAMQ": hrl.HAMQ(hierarchy, step_size=0.5), "Q-learning": hrl.QLearning(step_size=0.5)})
@@ -202,6 +212,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         options,
         discovered_options,
         linear_dyna,
+        feudal_q,
         hamq,
         maxq,
         hordq,

@@ -24,6 +24,7 @@ from hrljax.hierarchy.tables import tabulate  # noqa: E402
 from hrljax.learners.dyna import DynaQ  # noqa: E402
 from hrljax.learners.fading import Fading  # noqa: E402
 from hrljax.learners.features import Features, tile_features, variable_features  # noqa: E402
+from hrljax.learners.feudal import FeudalQ  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0  # noqa: E402
@@ -72,6 +73,7 @@ __all__ = [
     "Environment",
     "Fading",
     "Features",
+    "FeudalQ",
     "Hierarchy",
     "Learned",
     "LinearDyna",

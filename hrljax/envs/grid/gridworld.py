@@ -32,7 +32,7 @@ class Gridworld(CellWorld[GridParams]):
 
     Attributes:
         map: the map as text (`hrljax.envs.grid.map.parse`), or the name of one:
-            ``"four_rooms"`` or ``"cliff"``.
+            ``"four_rooms"``, ``"cliff"`` or ``"barrier"``.
 
     Raises:
         TypeError: the map is no string.

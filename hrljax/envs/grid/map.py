@@ -30,7 +30,19 @@ SPPPPPPPPPPG
 """
 """The cliff of Sutton and Barto 2018, Example 6.6, but a fall ends the episode."""
 
-NAMED_MAPS = {"four_rooms": FOUR_ROOMS, "cliff": CLIFF}
+BARRIER = """\
+S.......
+........
+..####..
+.....#..
+..G..#..
+.....#..
+..####..
+........
+"""
+"""Eight by eight cells and a barrier around the goal, open on one side: a maze like that of Dayan and Hinton 1992."""
+
+NAMED_MAPS = {"four_rooms": FOUR_ROOMS, "cliff": CLIFF, "barrier": BARRIER}
 
 _ALLOWED = "a cell is # (wall), . (free), S (start), G (goal), P (pit) or a small letter (hallway)"
 

@@ -102,7 +102,9 @@ def test_a_map_may_begin_with_a_newline():
 def test_maps_have_names():
     assert hrl.make("Gridworld", map="four_rooms") == Gridworld() == Gridworld(map=FOUR_ROOMS)
     assert hrl.make("Gridworld", map="cliff") == Gridworld(map=CLIFF) != Gridworld()
-    with pytest.raises(ValueError, match="map must be a drawing or one of 'four_rooms', 'cliff', got 'five_rooms'"):
+    with pytest.raises(
+        ValueError, match="map must be a drawing or one of 'four_rooms', 'cliff', 'barrier', got 'five_rooms'"
+    ):
         hrl.make("Gridworld", map="five_rooms")
     with pytest.raises(ValueError, match="map has 256 starts; at most 255 are allowed"):
         Gridworld(map="S" * 256 + "G")
