@@ -21,8 +21,9 @@ not inflate; a tick costs about 0.5 microseconds):
   (`hrljax.engine.compiler.nested_options`): it drops copies that are needed, and sprites differ from the original's.
   A version in which every counter waits for the inner loops ran 7 % faster with it, but still went
   wrong where sprites hit each other.
-* Under vmap every game runs all loops as long as the slowest one of the batch, and every rare part;
-  loops then select between whole states. It is there for results, not for speed, on a CPU.
+* Under vmap on a CPU the games of a batch take their ticks one after the other: loops that all games go through
+  together, as long as the slowest and with every rare part, took ten times as long. What is left to a native loop
+  are the copies of a game's state into the batch and out of it.
 
     python benchmarks/mario_engine.py --json mario_engine.json
 """
