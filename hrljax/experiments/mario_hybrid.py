@@ -39,9 +39,9 @@ THESIS = {"SARSA": 1, "Model": 0, "Model+HORDQ(10)": 277, "Model+HORDQ(20)": 64}
 """Levels finished in 1000 episodes (thesis Table 4.1)."""
 
 
-def _halved_every_100_episodes(start: float, end: float) -> optax.Schedule:
-    """Constant for 100 episodes, then halved in every 100, down to `end`."""
-    return optax.exponential_decay(start, 100, 0.5, transition_begin=100, end_value=end)
+def _halved(start: float, every: int, end: float) -> optax.Schedule:
+    """Constant for 100 episodes, then halved in every so many, down to `end`."""
+    return optax.exponential_decay(start, every, 0.5, transition_begin=100, end_value=end)
 
 
 ROOTS = {
@@ -52,8 +52,8 @@ ROOTS = {
 BEST = RelationalHORDQ(
     SearchRoot(stop_reward=12.0, model=MarioDynamics(), max_nodes=600, priority="last_reward", answer="leaf"),
     pseudo_reward=15.0,
-    step_size=_halved_every_100_episodes(0.1, end=0.01),
-    epsilon=_halved_every_100_episodes(0.001, end=0.0001),
+    step_size=_halved(0.1, every=100, end=0.01),
+    epsilon=_halved(0.001, every=100, end=0.0001),
     discount=0.9,
     trace_decay=0.8,
     trace_length=12,
@@ -61,10 +61,17 @@ BEST = RelationalHORDQ(
 """The best configuration with a given model that was found by sweeps on this level: not the thesis's."""
 BEST_LEARNED = replace(
     BEST,
-    root=SearchRoot(model=MultiwayModel(pessimism=5.0), max_nodes=1000, priority="last_reward", answer="sequence"),
-    epsilon=_halved_every_100_episodes(0.01, end=0.0001),
+    root=SearchRoot(
+        model=MultiwayModel(rows=20_000, pessimism=5.0, weighted=False, memory=True, death_decay=0.8),
+        max_nodes=1000,
+        priority="last_reward",
+        answer="sequence",
+    ),
+    step_size=0.1,
+    epsilon=_halved(0.01, every=50, end=0.00001),
+    bias="shared",
 )
-"""The same with the thesis's 27 inputs and a learned model: whole plans on Orange's trees, with pessimism."""
+"""With the thesis's 27 inputs and a learned model: whole plans on Orange's trees and a memory, with pessimism."""
 BEST_NAME = "best found"
 BY_SWEEPS = {BEST_NAME: BEST, "best found, learned model": BEST_LEARNED}
 """By name what was found by sweeps."""

@@ -44,7 +44,9 @@ class Tree(NamedTuple):
     """
 
     state: Any  # pytree of [N, ...]
-    value: Array  # [N] float32: discounted sum of the rewards on the way from the root
+    value: (
+        Array  # [N] float32: discounted sum of the rewards on the way from the root, and what is beyond (see `model`)
+    )
     reward: Array  # [N] float32: reward of the step that leads here, 0 for the root
     depth: Array  # [N] int32
     parent: Array  # [N] int32, -1 for the root
@@ -87,10 +89,11 @@ def best_first_search(
     are such, the best sequence is action 0.
 
     Args:
-        model: ``model(state, action) -> next_state, reward`` or ``next_state, reward, ended`` for one
-            state and one action (int32 scalar): a state of the same structure, shapes and types, a float32
-            scalar, and whether this step is the last one (bool scalar): such a node is never expanded.
-            Pure; it may close over traced arrays.
+        model: ``model(state, action) -> next_state, reward``, ``next_state, reward, ended`` or ``next_state, reward,
+            ended, beyond`` for one state and one action (int32 scalar): a state of the same structure, shapes and
+            types, a float32 scalar, whether this step is the last one (bool scalar): such a node is never expanded,
+            and what the steps after it are worth (float32 scalar), which the value of a node has on top if only
+            `depth` keeps it from being expanded. Pure; it may close over traced arrays.
         state: where to start, a pytree of arrays.
         num_actions: A.
         depth: greatest depth of a node.
@@ -251,10 +254,12 @@ def _check_model(model: ModelFn, state: Any) -> None:
     given = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state)
     with explain_tracing("model"):
         output = jax.eval_shape(model, given, jax.ShapeDtypeStruct((), jnp.int32))
-    if not (isinstance(output, tuple) and len(output) in (2, 3)):
-        raise TypeError(f"model must return a tuple (next_state, reward) or one with ended, got {output!r}")
+    if not (isinstance(output, tuple) and len(output) in (2, 3, 4)):
+        what = "a tuple (next_state, reward), one with ended or one with ended and beyond"
+        raise TypeError(f"model must return {what}, got {output!r}")
     returned = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), output)
-    numbers = (jax.ShapeDtypeStruct((), jnp.float32), jax.ShapeDtypeStruct((), jnp.bool_))
+    number, flag = (jax.ShapeDtypeStruct((), kind) for kind in (jnp.float32, jnp.bool_))
+    numbers = (number, flag, number)
     expected = (given, *numbers[: len(output) - 1])
     if returned != expected:
         raise TypeError(f"model must return {expected}, of the structure of its state, and got {returned}")

@@ -18,7 +18,8 @@ from hrljax.core.flags import Flag, choose, opposite
 from hrljax.core.numerics import exact_product, opaque_zero, put_row, take, take_row
 
 ModelFn = Callable[[Any, Array], tuple[Any, ...]]
-"""Of a state and an action: the next state, the reward and, if it says so, whether the way ends there."""
+"""Of a state and an action: the next state, the reward and, if it says so, whether the way ends there, and what the
+steps beyond are worth."""
 Count = Literal["generated", "expanded"]
 Priority = Literal["cumulative", "last_reward"]
 Answer = Literal["any", "leaf", "sequence"]
@@ -119,8 +120,12 @@ def expand(problem: Problem, search: Search) -> Expansion:
     weight = take(search.weight, block)
 
     parent_state = jax.tree.map(lambda rows: _row(rows, node), search.state)
-    states, rewards, ended = _children(problem, parent_state)
-    values = take(search.value, node) + _discounted(problem, weight, rewards, search.num_expanded)
+    states, rewards, ended, beyond = _children(problem, parent_state)
+    values = take(search.value, node) + _discounted(problem, weight, rewards)
+    next_weight = weight if problem.discount is None else weight * problem.discount
+    if beyond is not None:
+        is_cut_off = (depth >= problem.max_depth) & opposite(ended)
+        values = jnp.where(is_cut_off, values + _discounted(problem, next_weight, beyond), values)
     value_ranks = rank_of(values)
     goes_deeper = (depth < problem.max_depth) & opposite(ended)
     counts = value_ranks if problem.answer != "sequence" else jnp.where(goes_deeper, CLOSED, value_ranks)
@@ -132,7 +137,7 @@ def expand(problem: Problem, search: Search) -> Expansion:
         ranks_left=lax.select(np.arange(width, dtype=np.int32) == place, jnp.full(width, CLOSED), ranks),
         parent=node,
         depth=depth,
-        weight=weight if problem.discount is None else weight * problem.discount,
+        weight=next_weight,
         state=states,
         value=values,
         reward=rewards,
@@ -183,14 +188,14 @@ def write(problem: Problem, search: Search, new: Expansion) -> Search:
     )
 
 
-def _children(problem: Problem, state: Any) -> tuple[Any, Array, Flag]:
+def _children(problem: Problem, state: Any) -> tuple[Any, Array, Flag, Array | None]:
     """What all actions lead to: a small loop, which compiles once whatever the model is."""
     actions = jnp.arange(problem.num_actions, dtype=jnp.int32)
-    states, rewards, *ended = lax.map(lambda action: problem.model(state, action), actions)
-    return states, rewards, ended[0] if ended else False
+    states, rewards, *more = lax.map(lambda action: problem.model(state, action), actions)
+    return states, rewards, more[0] if more else False, more[1] if len(more) > 1 else None
 
 
-def _discounted(problem: Problem, weight: Array, rewards: Array, word: Array) -> Array:
+def _discounted(problem: Problem, weight: Array, rewards: Array) -> Array:
     if problem.discount is None:
         return rewards
     return exact_product(weight, rewards, opaque_zero(lax.bitcast_convert_type(rewards, jnp.uint32)))

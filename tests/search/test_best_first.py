@@ -24,6 +24,7 @@ class Table(NamedTuple):
     next_state: Any  # [STATES * A] int32
     reward: Any  # [STATES * A] float32
     ended: Any  # [STATES * A] bool; for models that say so
+    beyond: Any  # [STATES * A] float32; likewise
     start: Any  # int32
     stop_reward: Any  # float32
     discount: Any  # float32
@@ -45,6 +46,7 @@ def random_table(seed: int, num_actions: int) -> Table:
         generator.integers(0, STATES, shape).astype(np.int32),
         rewards,
         np.random.default_rng([seed, 1]).random(shape) < [0.1, 0.5, 0.9][seed % 3],
+        np.random.default_rng([seed, 2]).integers(-9, 3, shape).astype(F),
         np.int32(generator.integers(STATES)),
         generator.choice(np.array([np.inf, 6, 2, 0.5, -np.inf], F), p=[0.4, 0.2, 0.2, 0.1, 0.1]),
         generator.choice(np.array([1, 0.9, 0.5, 0], F), p=[0.3, 0.4, 0.2, 0.1]),
@@ -55,7 +57,9 @@ def stacked(tables: list[Table]) -> Table:
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *tables)
 
 
-def searched(table: Table, num_actions: int, may_end: bool = False, **options: Any) -> SearchResult:
+def searched(
+    table: Table, num_actions: int, may_end: bool = False, beyond: bool = False, **options: Any
+) -> SearchResult:
     """Searches a table; the state is a pytree that holds more than the row of the table."""
 
     def model(state: dict[str, jax.Array], action: jax.Array) -> tuple[Any, ...]:
@@ -63,7 +67,8 @@ def searched(table: Table, num_actions: int, may_end: bool = False, **options: A
         after = take(table.next_state, entry)
         trace = jnp.stack([after.astype(jnp.float32), state["trace"][0]])
         outcome = {"row": after, "trace": trace}, take(table.reward, entry)
-        return (*outcome, take(table.ended, entry)) if may_end else outcome
+        says = (take(table.ended, entry), take(table.beyond, entry))
+        return (*outcome, *says[: may_end + beyond])
 
     start = {"row": table.start, "trace": jnp.zeros(2, jnp.float32)}
     return best_first_search(model, start, num_actions, **options)
@@ -93,6 +98,7 @@ def in_python(
     priority: str = "cumulative",
     answer: str = "any",
     may_end: bool = False,
+    beyond: bool = False,
 ) -> tuple[list[PythonNode], dict[int, int], int]:
     """The same search with a heap of Python objects: nodes, when each was expanded, the best node."""
     whole: list[int] = []
@@ -113,9 +119,11 @@ def in_python(
             with np.errstate(invalid="ignore"):
                 value = parent.value + parent.weight * reward
             weight = parent.weight * table.discount
+            ends = may_end and bool(table.ended[parent.row * num_actions + action])
+            if beyond and parent.depth + 1 == depth and not ends:
+                value = value + weight * table.beyond[parent.row * num_actions + action]
             child = PythonNode(after, (after, parent.trace[0]), value, reward, parent.depth + 1, index, action, weight)
             nodes.append(child)
-            ends = may_end and bool(table.ended[parent.row * num_actions + action])
             whole += [len(nodes) - 1] if ends or child.depth == depth else []
             if child.depth < depth and value > -np.inf and not ends:
                 heapq.heappush(heap, (-float(value if priority == "cumulative" else reward), len(nodes) - 1))
@@ -169,6 +177,8 @@ SETTINGS: dict[str, tuple[int, dict[str, Any]]] = {
     "ends": (4, {"depth": 6, "max_nodes": 100, "may_end": True}),
     "sequence": (3, {"depth": 4, "max_nodes": 60, "answer": "sequence"}),
     "sequence, ends": (4, {"depth": 5, "max_nodes": 120, "answer": "sequence", "may_end": True}),
+    "beyond": (4, {"depth": 4, "max_nodes": 120, "answer": "sequence", "may_end": True, "beyond": True}),
+    "beyond, any node": (3, {"depth": 2, "max_nodes": 40, "may_end": True, "beyond": True}),
     "sequence, ends, last reward": (
         9,
         {"depth": 3, "max_nodes": 90, "answer": "sequence", "may_end": True, "priority": "last_reward"},

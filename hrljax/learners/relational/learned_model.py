@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core.counting import one_more
-from hrljax.learners.relational.screen_model import NUM_CHANGES, Experience, Foreseen, ScreenModel
+from hrljax.learners.relational.screen_model import NUM_CHANGES, Experience, Foreseen, ModelTables, ScreenModel
 from hrljax.trees.inputs import MAX_BINS
 from hrljax.trees.regression_tree import MAX_DEPTH, Descent, RegressionTree, Trees, predict_all
 from hrljax.trees.rows import MAX_ROWS
@@ -110,7 +110,8 @@ class MarioModel(ScreenModel):
         reward = self.reward_tree(num_actions).fit_groups(replay.inputs, replay.reward[:, None], everything, 1, count)
         return Learned(motion, reward)
 
-    def foreseen(self, learned: Learned, inputs: Array, action: Array) -> Foreseen:
+    def foreseen(self, tables: ModelTables, inputs: Array, last_keys: Array, action: Array) -> Foreseen:
+        learned: Learned = tables.learned
         motion = [Descent(learned.motion, inputs, (action, k)) for k in range(NUM_CHANGES)]
         with_action = jnp.concatenate([inputs, action.astype(jnp.float32)[None]])
         *change, reward = predict_all([*motion, Descent(learned.reward, with_action, (0, 0))])

@@ -2,7 +2,7 @@
 
 Concepts are the things on the screen as (type, dx, dy) in whole tiles from Mario. The value of an
 action is linear: a weight for every concept and action, times how often the concept occurs, and a
-weight for the action alone (Asgharbeygi, Stracuzzi and Langley 2006).
+weight that always counts, the action's own or one for all actions (Asgharbeygi, Stracuzzi and Langley 2006).
 
 The root suggests an action t; its one subtask Action(t) takes one primitive action and ends, so its
 Q_c is 0, and its pseudo-reward is exactly a bonus for following the root, which biases the choice
@@ -32,6 +32,7 @@ from hrljax.learners.roots.base import Decision
 from hrljax.learners.updates import td_target
 
 Bootstrap = Literal["on_policy", "greedy"]
+Bias = Literal["own", "shared"]
 Concepts = tuple[Array, Array]
 """Numbers of the concepts that hold (int32 [MAX_SPRITES], those that do first) and how many they are (int32)."""
 
@@ -48,7 +49,7 @@ class Trail(NamedTuple):
 class Tables(NamedTuple):
     """What a relational learner has learned."""
 
-    weights: Array  # [(concepts + 1) * A] float32; the last row belongs to the action alone
+    weights: Array  # [(concepts + 1) * A] float32; the last row always counts; only its first entry if shared
     trail: Trail | None  # None without traces
     root: chex.ArrayTree  # of the root; () without one
     seen: Seen | None = None  # what a pseudo-reward that fades goes by, concept by concept
@@ -88,6 +89,8 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         initial_value: of every action at first.
         bootstrap: ``"on_policy"`` on the action taken next (SARSA), ``"greedy"`` on the best action
             without the bonus.
+        bias: the weight that always counts is every action's ``"own"``, or one is ``"shared"`` by all: then actions
+            differ only by what the concepts that hold say of them, and where none does, the root is followed.
     """
 
     root: SearchRoot | None = None
@@ -99,6 +102,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
     initial_value: Hyperparameter = hyperparameter(0.0)
     trace_length: int = 0
     bootstrap: Bootstrap = "on_policy"
+    bias: Bias = "own"
 
     name = "relational HORDQ"
     is_tabular = False
@@ -110,6 +114,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         if self.root is not None:
             checks.instance("RelationalHORDQ: root", self.root, SearchRoot, "None or a SearchRoot")
         self._check_choice("bootstrap", Bootstrap)
+        self._check_choice("bias", Bias)
         self._check_integer("trace_length", 0)
 
     @property
@@ -192,6 +197,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             return i + 1, total + take_row(weights, cells[i] * np.int32(actions), actions)
 
         alone = take_row(weights, jnp.int32(NUM_OBJECT_CELLS * actions), actions)
+        alone = jnp.broadcast_to(alone[0], alone.shape) if self.bias == "shared" else alone
         _, total = lax.while_loop(lambda carry: carry[0] < count, add, (jnp.int32(0), alone))
         return [total[a] for a in range(actions)]
 
@@ -204,6 +210,8 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             i, weights = carry
             cell = lax.select(i < 0, jnp.int32(NUM_OBJECT_CELLS), cells[lax.max(i, jnp.int32(0))])
             place = cell * actions + action
+            if self.bias == "shared":
+                place = lax.min(place, jnp.int32(NUM_OBJECT_CELLS) * actions)
             return i + 1, put_row(weights, place, take_row(weights, place, 1) + change)
 
         return lax.while_loop(lambda carry: carry[0] < count, add, (jnp.int32(-1), weights))[1]

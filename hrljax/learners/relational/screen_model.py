@@ -43,6 +43,7 @@ class Body(NamedTuple):
     y: Array  # downwards
     dx: Array
     dy: Array  # downwards
+    keys: Array  # int32: of the last action, which hold for one more tick
 
 
 class ModelTables(NamedTuple):
@@ -61,6 +62,7 @@ class Experience(NamedTuple):
     change: Array  # [4] float32: displacement in tiles, next velocity; nothing is known of them if it was the last one
     reward: Array  # float32
     terminated: Array  # bool
+    last_keys: Array  # int32: keys of the action before
 
 
 class Foreseen(NamedTuple):
@@ -69,6 +71,8 @@ class Foreseen(NamedTuple):
     change: list[Array]  # 4 float32: displacement in tiles, next velocity
     reward: Array  # float32
     ended: Flag  # whether the episode ends with it
+    beyond: Array | None = None  # float32: what the steps after it are worth, of a model that says so
+    is_met: Array | None = None  # bool: whether it was met, of a model that remembers
 
 
 @dataclass(frozen=True)
@@ -131,22 +135,29 @@ class ScreenModel(Settings):
         """Grows all trees anew from what is kept."""
 
     @abstractmethod
-    def foreseen(self, learned: Any, inputs: Array, action: Array) -> Foreseen:
-        """What the trees predict."""
+    def foreseen(self, tables: ModelTables, inputs: Array, last_keys: Array, action: Array) -> Foreseen:
+        """What is predicted of a step; `last_keys` are those of the action before."""
+
+    @property
+    def _marks(self) -> bool:
+        """Whether what was met has to be marked."""
+        return self._is_pessimistic
 
     def init(self, env: Mario) -> ModelTables:
-        met = nothing_met() if self._is_pessimistic else ()
+        met = nothing_met() if self._marks else ()
         return ModelTables(self.empty(env.num_actions), self.unfitted(env.num_actions), met)
 
     def observe(self, env: Mario, tables: ModelTables, transition: Transition, learns: Array) -> ModelTables:
         """Keeps a transition for the next fit, where `learns`."""
         inputs, met = self.inputs(env.course, transition.state.world), tables.met
-        if self._is_pessimistic:
+        if self._marks:
             met = mark(met, self._rounded(inputs, transition.action), learns)
-        before, after = body_of(transition.state.world), body_of(transition.next_state.world)
+        before, after = body_of(transition.state), body_of(transition.next_state)
         tile = np.float32(1 / TILE)
         change = jnp.stack([(after.x - before.x) * tile, (after.y - before.y) * tile, after.dx, after.dy])
-        new = Experience(inputs, transition.action, change, transition.reward, transition.terminated)
+        new = Experience(
+            inputs, transition.action, change, transition.reward, transition.terminated, transition.state.keys
+        )
         return tables._replace(replay=self.add(tables.replay, new, env.num_actions, learns), met=met)
 
     def refit(self, env: Mario, tables: ModelTables) -> ModelTables:
@@ -155,13 +166,13 @@ class ScreenModel(Settings):
 
     def planned(self, env: Mario, tables: ModelTables, episode: Episode) -> tuple[ModelFn, Body]:
         """What a planner searches from a moment of an episode: the model, and the state to start in."""
-        return self.look_ahead(tables.learned, env.course, episode, tables.met), body_of(episode.world)
+        return self.look_ahead(env, tables, episode), body_of(episode)
 
     def inputs(self, course: Course, world: World) -> Array:
         """What the model reads of the game, ``[F]`` float32."""
-        body = body_of(world)
-        _, row = cell(body.x, body.y)
-        return self._joined(self._marked(window(course, world, self.size), row - np.int32(self.size // 2)), body)
+        _, row = cell(world.player.x, world.player.y)
+        tiles = self._marked(window(course, world, self.size), row - np.int32(self.size // 2))
+        return self._joined(tiles, *_place_and_velocity(world))
 
     def _marked(self, tiles: Array, top: Array) -> Array:
         """A part of the screen, its first row being `top`, with what lies below the level as a kind of its own."""
@@ -170,12 +181,12 @@ class ScreenModel(Settings):
         rows = top + np.arange(len(tiles), dtype=np.int32)
         return jnp.where(rows[:, None] < HEIGHT, tiles, _BELOW)
 
-    def _joined(self, tiles: Array, body: Body) -> Array:
-        numbers = [body.dx, body.dy]
+    def _joined(self, tiles: Array, x: Array, y: Array, dx: Array, dy: Array) -> Array:
+        numbers = [dx, dy]
         if self.offsets:
-            column, row = cell(body.x, body.y)
+            column, row = cell(x, y)
             tile = np.float32(1 / TILE)
-            numbers += [body.x * tile - column.astype(jnp.float32), body.y * tile - row.astype(jnp.float32)]
+            numbers += [x * tile - column.astype(jnp.float32), y * tile - row.astype(jnp.float32)]
         return jnp.concatenate([tiles.ravel().astype(jnp.float32), jnp.stack(numbers)])
 
     def _rounded(self, inputs: Array, action: Array) -> Array:
@@ -184,9 +195,9 @@ class ScreenModel(Settings):
         steps = np.where(is_tile, np.float32(1), _ROUNDED_TO)
         return jnp.append(jnp.round(inputs * steps).astype(jnp.int32), action)
 
-    def look_ahead(self, learned: Any, course: Course, episode: Episode, met: Any = ()) -> ModelFn:
+    def look_ahead(self, env: Mario, tables: ModelTables, episode: Episode) -> ModelFn:
         """The model on the screen as it is now, for a planner; all is empty beyond it, but the level goes on."""
-        margin = self.size // 2
+        margin, course = self.size // 2, env.course
         left, top = camera_column(episode) - np.int32(margin), np.int32(-margin)
         width, height = COLUMNS + 2 * margin, ROWS + 2 * margin
         screen = painted(course, episode.world, left, jnp.int32(top), width, height)
@@ -198,19 +209,28 @@ class ScreenModel(Settings):
         def model(body: Body, action: Array) -> tuple[Any, ...]:
             column, row = cell(body.x, body.y)
             corner = (row - np.int32(margin) - top, column - np.int32(margin) - left)
-            inputs = self._joined(lax.dynamic_slice(screen, corner, (self.size, self.size)), body)
-            change, reward, ended = self.foreseen(learned, inputs, action)
+            tiles = lax.dynamic_slice(screen, corner, (self.size, self.size))
+            inputs = self._joined(tiles, body.x, body.y, body.dx, body.dy)
+            foreseen = self.foreseen(tables, inputs, body.keys, action)
+            change, reward, tile = foreseen.change, foreseen.reward, np.float32(TILE)
             if self._is_pessimistic:
-                known = is_met(met, self._rounded(inputs, action))
+                known = foreseen.is_met
+                known = is_met(tables.met, self._rounded(inputs, action)) if known is None else known
                 reward = reward - lax.select(known, jnp.float32(0), jnp.asarray(self.pessimism, jnp.float32))
-            tile = np.float32(TILE)
-            after = Body(body.x + change[0] * tile, body.y + change[1] * tile, change[2], change[3])
-            return (after, reward) if isinstance(ended, bool) else (after, reward, ended)
+            place = (body.x + change[0] * tile, body.y + change[1] * tile)
+            after = Body(*place, change[2], change[3], env.keys(action))
+            if isinstance(foreseen.ended, bool):
+                return after, reward
+            return (after, reward, foreseen.ended) + (() if foreseen.beyond is None else (foreseen.beyond,))
 
         return model
 
 
-def body_of(world: World) -> Body:
+def body_of(episode: Episode) -> Body:
     """Mario's position and the velocity that the competition shows."""
+    return Body(*_place_and_velocity(episode.world), episode.keys)
+
+
+def _place_and_velocity(world: World) -> tuple[Array, Array, Array, Array]:
     player, unit = world.player, np.float32(1 / VELOCITY_UNIT)
-    return Body(player.x, player.y, (player.x - player.x_old) * unit, (player.y - player.y_old) * unit)
+    return player.x, player.y, (player.x - player.x_old) * unit, (player.y - player.y_old) * unit

@@ -92,9 +92,9 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
         context: Context,
     ) -> tuple[chex.ArrayTree, Decision[Plan]]:
         observed = self.model.observe(prepared, tables, transition, context.learns)
-        # Decides with the trees, which a step does not change.
         decides = both(ended, ~transition.terminated & context.learns)
-        return observed, self._suggested(prepared, tables, decision, asked, jnp.asarray(decides), context)
+        # With what was observed: a search in the tables from before would make a native loop copy them in every step.
+        return observed, self._suggested(prepared, observed, decision, asked, jnp.asarray(decides), context)
 
     def plan(self, prepared: Mario, tables: chex.ArrayTree, context: Context) -> chex.ArrayTree:
         """Fits the model to what it was told."""

@@ -17,6 +17,7 @@ from hrljax.envs.mario.features import NUM_OBJECT_CELLS, NUM_SYMBOLS, object_cel
 from hrljax.learners.base import Transition
 from hrljax.learners.relational import search_root
 from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.learners.relational.screen_model import ModelTables, body_of
 from tests.contexts import learning
 
 ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")  # monsters from the first screen on
@@ -70,6 +71,7 @@ class PythonSARSA:
         self.learner = learner
         self.weights = np.zeros((NUM_OBJECT_CELLS + 1, ACTIONS), F)
         self.weights[-1] = learner.initial_value
+        self.is_shared = learner.bias == "shared"
         self.trail: list[tuple[list[int], int]] = []
 
     def concepts(self, episode: Any) -> list[int]:
@@ -78,6 +80,8 @@ class PythonSARSA:
 
     def values(self, concepts: list[int]) -> np.ndarray:
         total = self.weights[-1].copy()
+        if self.is_shared:
+            total[:] = total[0]
         for concept in concepts:
             total += self.weights[concept]
         return total
@@ -95,14 +99,16 @@ class PythonSARSA:
         self.trail = [*self.trail, (before, int(step.action))][-max(self.learner.trace_length, 1) :]
         for concepts, taken in reversed(self.trail):
             for concept in [-1, *concepts]:
-                self.weights[concept, taken] += change
+                self.weights[concept, 0 if concept == -1 and self.is_shared else taken] += change
             change = F(F(self.learner.discount) * F(self.learner.trace_decay)) * change
         return action
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options", [{}, {"trace_length": 5, "trace_decay": 0.8}], ids=["one step", "accumulating traces"]
+    "options",
+    [{}, {"trace_length": 5, "trace_decay": 0.8}, {"bias": "shared", "trace_length": 3, "trace_decay": 0.5}],
+    ids=["one step", "accumulating traces", "shared bias"],
 )
 def test_weights_are_those_of_plain_python(walk: Recorded, options: dict[str, Any]):
     learner = RelationalHORDQ(epsilon=0.3, initial_value=2.0, **options)
@@ -113,6 +119,21 @@ def test_weights_are_those_of_plain_python(walk: Recorded, options: dict[str, An
     assert [int(control.action) for control in controls] == actions
     np.testing.assert_array_equal(np.asarray(tables.weights).reshape(-1, ACTIONS), python.weights)
     assert any(python.concepts(step.state) for step in walk.steps)
+
+
+@pytest.mark.parametrize("bias", ["own", "shared"])
+def test_where_no_concept_holds_only_biases_of_their_own_tell_actions_apart(walk: Recorded, bias: Any):
+    """Each of many deaths makes what was done look worse; without a concept that must not hide the root's advice."""
+    learner = RelationalHORDQ(epsilon=0.0, bias=bias)
+    prepared = learner.prepare(ENV)
+    empty = walk.first._replace(world=walk.first.world._replace(num_sprites=jnp.int32(0)))
+    state = learner.init(ENV, prepared)
+    fatal = Transition(empty, jnp.int32(8), jnp.float32(-50), empty, jnp.bool_(True))
+    state = jax.jit(lambda state: learner.learn(prepared, state, fatal, (jnp.uint32(0),), learning()))(state)
+    nothing_holds = (jnp.zeros(1, jnp.int32), jnp.int32(0))
+    values = np.asarray(learner._values(prepared, state.tables.weights, nothing_holds))
+    expected = np.full(ACTIONS, -2.5, F) if bias == "shared" else np.where(np.arange(ACTIONS) == 8, F(-2.5), F(0))
+    np.testing.assert_array_equal(values, expected)
 
 
 def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
@@ -206,9 +227,12 @@ def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk:
     assert float(replay.reward[place]) == float(last.reward)
     assert int(replay.group[place]) == (ACTIONS if last.terminated else int(last.action))
     learned = jax.jit(lambda replay: model.fit(replay, ACTIONS))(replay)
-    predicted = jax.jit(
-        lambda learned, step: model.look_ahead(learned, ENV.course, step.state)(body(step.state), step.action)
-    )
+
+    @jax.jit
+    def predicted(learned: Any, step: Transition) -> Any:
+        ahead = model.look_ahead(ENV, ModelTables((), learned, ()), step.state)
+        return ahead(body_of(step.state), step.action)
+
     errors = []
     for step in walk.steps[-20:-1]:
         after, reward = predicted(learned, step)
@@ -248,12 +272,6 @@ def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: R
     # Column 6 and row 13; rows 11 to 15 are seen, and the last one is below the 15 of the level.
     np.testing.assert_array_equal(inputs[-2:], [100 / 16 - 6, 212 / 16 - 13])
     np.testing.assert_array_equal(inputs[:25].reshape(5, 5) == NUM_SYMBOLS, np.arange(5)[:, None] == [4] * 5)
-
-
-def body(episode: Any) -> Any:
-    from hrljax.learners.relational.screen_model import body_of
-
-    return body_of(episode.world)
 
 
 @pytest.mark.parametrize(

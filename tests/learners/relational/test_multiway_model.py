@@ -45,6 +45,16 @@ def observed(model: MultiwayModel, walks: list[list[Transition]], learns: bool =
     return tables
 
 
+def looking(model: MultiwayModel, tables: Any) -> Any:
+    """A step ahead of a moment of an episode."""
+
+    def look(state: Any, action: jax.Array) -> tuple[Any, ...]:
+        ahead, start = model.planned(ENV, tables, state)
+        return ahead(start, action)
+
+    return jax.jit(look)
+
+
 @pytest.mark.slow
 def test_equal_transitions_are_one_row_with_a_weight(walk: list[Transition]):
     tables = observed(MODEL, [walk, walk[:5], walk])
@@ -86,9 +96,7 @@ def test_what_was_met_comes_back_exactly_and_the_last_step_is_an_end(walk: list[
     tables = observed(MODEL, [walk])
     options = compiler.nested_options() if loops == "native" else None
     tables = jax.jit(lambda tables: MODEL.refit(ENV, tables), compiler_options=options)(tables)
-    ahead = jax.jit(
-        lambda state, action: (lambda model, start: model(start, action))(*MODEL.planned(ENV, tables, state))
-    )
+    ahead = looking(MODEL, tables)
     never = jnp.int32(1)  # the walk never takes it
     for step in walk:
         after, reward, ended = ahead(step.state, step.action)
@@ -96,8 +104,66 @@ def test_what_was_met_comes_back_exactly_and_the_last_step_is_an_end(walk: list[
         np.testing.assert_allclose(reward, step.reward, rtol=1e-6)
         assert float(ahead(step.state, never)[1]) <= max(float(s.reward) for s in walk) - 5 + 1e-5
         if not step.terminated:
-            truth = body_of(step.next_state.world)
+            truth = body_of(step.next_state)
             np.testing.assert_allclose(after, truth, rtol=1e-5, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def confused() -> tuple[list[Transition], Any]:
+    """Steps from one moment that only the action before tells apart, and a model that has met them."""
+    model = dataclasses.replace(MODEL, memory=True, weighted=False)
+    _, state = jax.jit(ENV.reset)(jax.random.key(0))
+    right, jump = (ENV.keys(jnp.int32(action)) for action in (5, 4))
+    steps = []
+    for keys, distance, reward in ((right, 16.0, 1.0), (jump, 32.0, 2.0), (right, 8.0, 3.0)):
+        player = state.world.player
+        after = state._replace(world=state.world._replace(player=player._replace(x=player.x + F(distance))))
+        before = state._replace(keys=keys)
+        steps.append(Transition(before, jnp.int32(5), jnp.float32(reward), after, jnp.bool_(False)))
+    tables = observed(model, [steps])
+    return steps, jax.jit(lambda tables: model.refit(ENV, tables))(tables)
+
+
+def test_a_memory_tells_what_the_last_of_equal_steps_brought(confused: tuple[list[Transition], Any]):
+    """27 inputs are the same; trees give the mean, the memory what came last after the same action."""
+    steps, tables = confused
+    model = dataclasses.replace(MODEL, memory=True, weighted=False)
+    assert int(tables.replay.filled) == 3
+    ahead = looking(model, tables)
+    for step, distance, reward in ((steps[0], 8.0, 3.0), (steps[1], 32.0, 2.0)):
+        after, predicted, ended = ahead(step.state, step.action)
+        assert (float(predicted), bool(ended)) == (reward, False)
+        assert float(after.x) == float(step.state.world.player.x) + distance
+        assert int(after.keys) == int(ENV.keys(step.action))
+    never = steps[0].state._replace(keys=ENV.keys(jnp.int32(0)))
+    np.testing.assert_allclose(ahead(never, jnp.int32(5))[1], 2.0 - 5.0, rtol=1e-6)
+
+
+def test_trees_without_weights_are_left_alone_until_something_new_was_met(confused: tuple[list[Transition], Any]):
+    steps, tables = confused
+    model = dataclasses.replace(MODEL, memory=True, weighted=False)
+    observe = jax.jit(lambda tables, step: model.observe(ENV, tables, step, jnp.bool_(True)))
+    refit = jax.jit(lambda tables: model.refit(ENV, tables))
+    marked = tables._replace(learned=jax.tree.map(jnp.zeros_like, tables.learned))
+    again = refit(observe(marked, steps[0]))
+    chex.assert_trees_all_equal(again.learned, marked.learned)
+    other = refit(observe(marked, steps[0]._replace(reward=jnp.float32(9))))
+    assert int(other.replay.filled) == 4
+    assert np.asarray(other.learned.outcome.means).any()
+    assert not other.replay.has_news
+
+
+def test_a_plan_that_is_cut_off_above_a_pit_knows_what_came_after(walk: list[Transition]):
+    """The steps before the walk's end carry it, less and less; those long before do not."""
+    model = dataclasses.replace(MODEL, memory=True, weighted=False, death_decay=0.5)
+    tables = jax.jit(lambda tables: model.refit(ENV, tables))(observed(model, [walk]))
+    ahead = looking(model, tables)
+    assert float(walk[-1].reward) < -20
+    for back in (1, 2, 3, 20):
+        step = walk[-1 - back]
+        *_, beyond = ahead(step.state, step.action)
+        expected = 0.5**back * float(walk[-1].reward) if back < 16 else 0.0
+        assert float(beyond) == pytest.approx(expected)
 
 
 def test_pessimism_may_be_swept(walk: list[Transition]):
@@ -122,7 +188,7 @@ def test_a_look_ahead_reads_what_is_learned_from_at_the_left_end_too(walk: list[
     """The level goes on beyond its end, in both."""
 
     class Reader(MultiwayModel):
-        def foreseen(self, learned: Any, inputs: jax.Array, action: jax.Array) -> Foreseen:
+        def foreseen(self, tables: Any, inputs: jax.Array, last_keys: jax.Array, action: jax.Array) -> Foreseen:
             return Foreseen([jnp.float32(0)] * 4, inputs[action], False)
 
     episode = walk[0].state
@@ -139,9 +205,11 @@ def test_a_look_ahead_reads_what_is_learned_from_at_the_left_end_too(walk: list[
     ("settings", "message"),
     [
         ({"reading": "E"}, "MultiwayModel: reading must be one of 'A', 'B', 'C', 'D', got 'E'"),
+        ({"memory": "yes"}, "MultiwayModel: memory must be"),
+        ({"death_decay": 1.0}, "MultiwayModel: death_decay must be"),
         ({"rows": 0}, "MultiwayModel: rows must be an integer from 1 to 1048576, got 0"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         MultiwayModel(**settings)
