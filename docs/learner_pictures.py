@@ -119,6 +119,20 @@ def discovered_options() -> Figure:
     return figure
 
 
+def h_dyna() -> Figure:
+    env = hrl.make("Gridworld")
+    ways = hrl.options_from(env.hierarchy(), env)
+    return rooms(
+        {
+            "H-DYNA": hrl.HDyna(ways, step_size=0.5),
+            "options, SMDP": hrl.OptionQ(ways, step_size=0.5),
+            "Dyna-Q": hrl.DynaQ(step_size=0.5),
+            "Q-learning": hrl.QLearning(step_size=0.5),
+        },
+        episodes=60,
+    )
+
+
 def linear_dyna() -> Figure:
     env = hrl.make("Bus")
     features, subtasks = hrl.variable_features(env), {"hierarchy": env.hierarchy(), "initial_value": -25.0}
@@ -211,6 +225,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         r_max,
         options,
         discovered_options,
+        h_dyna,
         linear_dyna,
         feudal_q,
         hamq,

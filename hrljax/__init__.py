@@ -32,6 +32,7 @@ from hrljax.learners.linear_dyna import LinearDyna  # noqa: E402
 from hrljax.learners.mario.a_star import MarioAStar  # noqa: E402
 from hrljax.learners.options.definition import Options, options_from, primitive_options  # noqa: E402
 from hrljax.learners.options.discovery import bottleneck_options, eigen_options  # noqa: E402
+from hrljax.learners.options.h_dyna import HDyna  # noqa: E402
 from hrljax.learners.options.learner import OptionQ  # noqa: E402
 from hrljax.learners.relational.given_model import MarioDynamics  # noqa: E402
 from hrljax.learners.relational.learned_model import MarioModel  # noqa: E402
@@ -74,6 +75,7 @@ __all__ = [
     "Fading",
     "Features",
     "FeudalQ",
+    "HDyna",
     "Hierarchy",
     "Learned",
     "LinearDyna",

@@ -100,36 +100,67 @@ class OptionQ(Learner[OptionTables, Array, Running]):
     def learn(
         self, prepared: OptionTables, state: LearnerState, transition: Transition, words: Words, context: Context
     ) -> LearnerState:
-        q, running = state
-        count, after = prepared.num_options, transition.next_state
+        running, over = self.stepped(prepared, state.control, transition, context)
+        q = self.taught(prepared, state.tables, running, over, transition, context)
+        return LearnerState(q, self.continued(prepared, q, running, over, transition, words[0], context))
+
+    def stepped(
+        self, prepared: OptionTables, running: Running, transition: Transition, context: Context
+    ) -> tuple[Running, Array]:
+        """The option that runs after one more step, and whether it is over."""
         gamma = context.discounted(at_episode(self.discount, context.episode))
-        row = prepared.row(after)
-        ends = (row & 2) != 0
         running = running._replace(
             reward=running.reward + context.product(running.discount, transition.reward),
             discount=gamma(running.discount),
         )
-        over = _entry(ends, running.option) | transition.terminated
+        ends = (prepared.row(transition.next_state) & 2) != 0
+        return running, _entry(ends, running.option) | transition.terminated
+
+    def taught(
+        self,
+        prepared: OptionTables,
+        q: Array,
+        running: Running,
+        over: Array,
+        transition: Transition,
+        context: Context,
+    ) -> Array:
+        """The values after a step; `running` and `over` are those after it."""
+        count, after = prepared.num_options, transition.next_state
+        gamma = context.discounted(at_episode(self.discount, context.episode))
+        row = prepared.row(after)
         q_after = take_row(q, after * count, count)
         is_called = over & ~transition.terminated  # some option is
         needed = is_called if self.update == "smdp" else ~transition.terminated
-        best = lax.cond(needed, lambda: _best(q_after, row)[1], lambda: jnp.float32(0))
+        best = lax.cond(needed, lambda: best_option(q_after, row)[1], lambda: jnp.float32(0))
         if self.update == "smdp":
             start = running.state * count + running.option
             target = td_target(running.reward, context.discounted(running.discount), best)[None]
             move = Move(start, target, over)
         else:
-            goes_on = ~ends & ~transition.terminated
+            goes_on = ((row & 2) == 0) & ~transition.terminated
             q_next = lax.select(goes_on, q_after, jnp.broadcast_to(best, q_after.shape))
             takes_it_too = (prepared.row(transition.state) >> 2) == transition.action
             move = Move(transition.state * count, td_target(transition.reward, gamma, q_next), takes_it_too)
-        q = moved(q, [move], at_episode(self.step_size, context.episode), context)
-        control = lax.cond(
-            is_called,
-            lambda: self._called(prepared, q, after, words[0], context),
-            lambda: running._replace(action=_entry(row >> 2, running.option)),
+        return moved(q, [move], at_episode(self.step_size, context.episode), context)
+
+    def continued(
+        self,
+        prepared: OptionTables,
+        q: Array,
+        running: Running,
+        over: Array,
+        transition: Transition,
+        word: Array,
+        context: Context,
+    ) -> Running:
+        """The option that runs from here on."""
+        after = transition.next_state
+        return lax.cond(
+            over & ~transition.terminated,
+            lambda: self._called(prepared, q, after, word, context),
+            lambda: running._replace(action=_entry(prepared.row(after) >> 2, running.option)),
         )
-        return LearnerState(q, control)
 
     def greedy_policy(
         self, env: AnyTabularEnvironment, prepared: OptionTables, tables: Array, context: Context
@@ -144,7 +175,7 @@ class OptionQ(Learner[OptionTables, Array, Running]):
     def _called(self, prepared: OptionTables, q: Array, state: Array, word: Array, context: Context) -> Running:
         """The option that is called in a state."""
         row, count = prepared.row(state), prepared.num_options
-        greedy = _best(take_row(q, state * count, count), row)[0]
+        greedy = best_option(take_row(q, state * count, count), row)[0]
         can_begin = [(row[o] & 1) != 0 for o in range(count)]
         explores = word < threshold(at_episode(self.epsilon, context.episode))
         option = lax.select(explores, choices.nth_allowed(can_begin, word), greedy)
@@ -156,7 +187,7 @@ def _entry(row: Array, index: Array) -> Array:
     return choices.pick([row[i] for i in range(len(row))], index)
 
 
-def _best(values: Array, row: Array) -> tuple[Array, Array]:
+def best_option(values: Array, row: Array) -> tuple[Array, Array]:
     """The best option (int32) that can begin, and its value."""
     never = jnp.float32(-np.inf)
     return choices.greedy([lax.select((row[o] & 1) != 0, values[o], never) for o in range(len(values))])

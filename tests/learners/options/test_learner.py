@@ -85,10 +85,13 @@ class PythonOptions:
                 if self.can_run(option, state) and self.policy(option, state) == self.action:
                     value = best if terminated or self.ends(option, after) else before[after, option]
                     self.q[state, option] += size * (reward + gamma * value - before[state, option])
+        self.plan(after, over, terminated, words)
         if over:
             self.call(after, words)
         else:
             self.action = self.policy(self.option, after)
+
+    def plan(self, after: int, over: bool, terminated: bool, words: list[int]) -> None: ...
 
     def greedy_return(self, env: PythonEnv) -> float:
         """By backward induction over (option, state) pairs, in float64."""
