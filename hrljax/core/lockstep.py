@@ -124,24 +124,32 @@ def one_after_another(function: Callable[..., T]) -> Callable[..., T]:
     Suits what is full of loops and branches that differ from run to run.
     """
 
-    @custom_vmap
-    def alone(*arguments: Any) -> T:
-        return function(*arguments)
+    @wraps(function)
+    def of_pytrees(*arguments: Any) -> T:
+        traced, result = jax.make_jaxpr(function, return_shape=True)(*arguments)
 
-    @alone.def_vmap
-    def of_batch(size: int, batched: Any, *arguments: Any) -> tuple[Any, Any]:
-        leaves, tree = jax.tree.flatten(arguments)
-        is_batched = jax.tree.leaves(tuple(batched))
-        varying = [leaf for leaf, varies in zip(leaves, is_batched, strict=True) if varies]
+        def run(held: list[Array], leaves: list[Array]) -> list[Array]:
+            return jaxpr_as_fun(traced.replace(consts=held))(*leaves)
 
-        def of_run(varying: list[Array]) -> T:
-            rest = iter(varying)
-            mixed = [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_batched, strict=True)]
-            return function(*jax.tree.unflatten(tree, mixed))
+        # A branch that differs from run to run makes of the arrays that the function holds one for each, which
+        # `custom_vmap` allows of arguments alone.
+        alone = custom_vmap(run)
 
-        results = lax.platform_dependent(
-            cpu=lambda: lax.map(of_run, varying), default=lambda: jax.vmap(of_run, axis_size=size)(varying)
-        )
-        return results, jax.tree.map(lambda _: True, results)
+        @alone.def_vmap
+        def of_batch(size: int, batched: Any, held: list[Array], leaves: list[Array]) -> tuple[list[Array], list[bool]]:
+            whole, is_batched = [*held, *leaves], [*batched[0], *batched[1]]
+            varying = [leaf for leaf, varies in zip(whole, is_batched, strict=True) if varies]
 
-    return wraps(function)(lambda *arguments: alone(*arguments))
+            def of_run(varying: list[Array]) -> list[Array]:
+                rest = iter(varying)
+                mixed = [next(rest) if varies else leaf for leaf, varies in zip(whole, is_batched, strict=True)]
+                return run(mixed[: len(held)], mixed[len(held) :])
+
+            results = lax.platform_dependent(
+                cpu=lambda: lax.map(of_run, varying), default=lambda: jax.vmap(of_run, axis_size=size)(varying)
+            )
+            return results, [True] * len(results)
+
+        return jax.tree.unflatten(jax.tree.structure(result), alone(list(traced.consts), jax.tree.leaves(arguments)))
+
+    return of_pytrees

@@ -99,3 +99,18 @@ def test_one_after_another_is_what_vmap_gives(all_at_once: bool, monkeypatch: py
     jax.tree.map(np.testing.assert_array_equal, actual, jax.vmap(function, axes)(shared, of_game))
     alone = one_after_another(function)(shared, {"x": of_game["x"][2], "n": jnp.int32(5)})
     assert alone["sum"] == actual["sum"][2]
+
+
+def test_one_after_another_may_hold_arrays_inside_a_branch_that_differs_from_run_to_run():
+    table = np.arange(7, dtype=np.float32)
+
+    @one_after_another
+    def looked_up(place: jax.Array) -> jax.Array:
+        return jnp.asarray(table)[place] + jnp.asarray(table).sum()
+
+    def run(place: jax.Array) -> jax.Array:
+        return lax.cond(place > 2, lambda: looked_up(place), lambda: jnp.float32(-1))
+
+    places = np.arange(7, dtype=np.int32)
+    expected = np.where(places > 2, table[places] + table.sum(), -1)
+    np.testing.assert_array_equal(jax.jit(jax.vmap(run))(places), expected)
