@@ -47,8 +47,15 @@ def _halved(start: float, every: int, end: float) -> optax.Schedule:
 ROOTS = {
     "learned": SearchRoot(),
     "given": SearchRoot(model=MarioDynamics(), priority="last_reward", answer="leaf"),
+    "remembers": SearchRoot(
+        model=MultiwayModel(rows=20_000, pessimism=5.0, weighted=False, memory=True, death_decay=0.8),
+        max_nodes=1000,
+        priority="last_reward",
+        answer="sequence",
+    ),
 }
-"""The thesis's root, which learns its model, and one that is given Mario's own dynamics in a level without things."""
+"""The thesis's root, which learns its model; one that is given Mario's own dynamics in a level without things; and one
+with the thesis's inputs and the best learned model that was found: whole plans on Orange's trees, and a memory."""
 BEST = RelationalHORDQ(
     SearchRoot(stop_reward=12.0, model=MarioDynamics(), max_nodes=600, priority="last_reward", answer="leaf"),
     pseudo_reward=15.0,
@@ -61,17 +68,12 @@ BEST = RelationalHORDQ(
 """The best configuration with a given model that was found by sweeps on this level: not the thesis's."""
 BEST_LEARNED = replace(
     BEST,
-    root=SearchRoot(
-        model=MultiwayModel(rows=20_000, pessimism=5.0, weighted=False, memory=True, death_decay=0.8),
-        max_nodes=1000,
-        priority="last_reward",
-        answer="sequence",
-    ),
+    root=ROOTS["remembers"],
     step_size=0.1,
     epsilon=_halved(0.01, every=50, end=0.00001),
     bias="shared",
 )
-"""With the thesis's 27 inputs and a learned model: whole plans on Orange's trees and a memory, with pessimism."""
+"""The best configuration with a learned model that was found."""
 BEST_NAME = "best found"
 BY_SWEEPS = {BEST_NAME: BEST, "best found, learned model": BEST_LEARNED}
 """By name what was found by sweeps."""
@@ -145,6 +147,25 @@ def table(rows: list[Row]) -> str:
             f"{row['return']['mean']:9.1f}{row['steps']:9.0f}"
         )
     lines.append(f"of {rows[0]['episodes']} episodes, mean of {rows[0]['seeds']} seeds; distance in tiles")
+    return "\n".join(lines)
+
+
+def differences(curves: dict[str, xr.Dataset], of: str) -> dict[str, dict[str, float | None]]:
+    """By how many finished levels a method is ahead of each of the others, run by run of the same seed."""
+    finished = {name: curve["win"].sum("episode", skipna=False) for name, curve in curves.items()}
+    return {
+        name: interval_row(stats.mean_interval(stats.paired_differences(finished[of], others)))
+        for name, others in finished.items()
+        if name != of
+    }
+
+
+def differences_table(ahead: dict[str, dict[str, float | None]], of: str) -> str:
+    """What `differences` gives, as text."""
+    lines = [f"{of} less{'':18}{'levels':>6}  {'95 %':>17}"]
+    for name, row in ahead.items():
+        ends = "" if row["lo"] is None else f"{row['lo']:.1f} to {row['hi']:.1f}"
+        lines.append(f"  {name:{len(of) + 21}}{row['mean']:6.1f}  {ends:>17}")
     return "\n".join(lines)
 
 

@@ -39,6 +39,22 @@ def test_a_row_counts_levels_per_run():
     assert "of 4 episodes, mean of 2 seeds" in text
 
 
+def test_differences_are_of_runs_of_the_same_seed():
+    curves = {
+        "A": curve([[1, 1, 1], [0, 1, 0]]),
+        "B": curve([[0, 1, 0], [0, 0, 0]]),
+        "C": curve([[1, 1, 0], [0, 1, 1]]),
+    }
+    ahead = mario_hybrid.differences(curves, "A")
+    assert list(ahead) == ["B", "C"]
+    assert ahead["B"]["mean"] == (2 + 1) / 2
+    assert ahead["C"]["mean"] == 0
+    assert ahead["B"]["lo"] is not None
+    text = mario_hybrid.differences_table(ahead, "A").splitlines()
+    assert text[0].split() == ["A", "less", "levels", "95", "%"]
+    assert text[1].split()[:2] == ["B", "1.5"]
+
+
 def test_names_and_the_model_alone():
     assert mario_hybrid.name_of(10.0) == "Model+HORDQ(10)"
     assert mario_hybrid.name_of(mario_hybrid.FOLLOWS) == "Model"
