@@ -1,10 +1,15 @@
 """Choosing among a few scalars: the greatest, the one at an index, a random one."""
 
+from typing import Literal, TypeAlias
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
 from hrljax.core.random import threshold
+
+Ties: TypeAlias = Literal["first", "random"]
+"""Which of equally good ones is taken: the first, or any, each as likely as the others."""
 
 
 def greedy(values: list[Array]) -> tuple[Array, Array]:
@@ -23,6 +28,13 @@ def _winner(left: tuple[Array, Array], right: tuple[Array, Array]) -> tuple[Arra
     right_wins = right[1] > left[1]
     mask = -right_wins.astype(jnp.int32)
     return left[0] ^ ((left[0] ^ right[0]) & mask), lax.select(right_wins, right[1], left[1])
+
+
+def greedy_by(ties: Ties, values: list[Array], first: Array, word: Array) -> Array:
+    """Index (int32) of the greatest of a few scalars, of which `first` is the first; uses one word for a random one."""
+    if ties == "first":
+        return first
+    return nth_allowed([value == pick(values, first) for value in values], word)
 
 
 def pick(values: list[Array], index: Array) -> Array:

@@ -37,7 +37,8 @@ class Row(NamedTuple, Generic[Q]):
 
     values: list[Q]  # slot by slot
     allowed: list[Array | None]  # whether each can be invoked; None where it always can
-    best: Array  # int32: the greedy slot
+    best: Array  # int32: the greedy slot, the first of equally good ones
+    worth: list[Array]  # what is greedily chosen by, slot by slot
 
 
 class ChildValues(Learner[Prepared, Tables, Control], Generic[Prepared, Tables, Control, Q]):
@@ -111,7 +112,7 @@ class ChildValues(Learner[Prepared, Tables, Control], Generic[Prepared, Tables, 
             preference(q) if can is None else lax.select(can, preference(q), never)
             for q, can in zip(values, allowed, strict=True)
         ]
-        return Row(values, allowed, choices.greedy(worth)[0])
+        return Row(values, allowed, choices.greedy(worth)[0], worth)
 
     def _values_of(self, known: Known, children: ChildSet, task: Array, state: Array, row: Row[Q], slot: Array) -> Q:
         """The values of the child in one slot of a row."""

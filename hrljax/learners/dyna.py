@@ -37,13 +37,13 @@ class DynaQ(StepSizeLearner):
 
     Attributes:
         step_size: in (0, 1], or a schedule of the episode; of real and remembered steps.
-        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
-            of equally good ones the first.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one.
         discount: in [0, 1].
         initial_value: of every state and action.
         planning_steps: remembered steps per real one, at least 0; 0 gives Q-learning bit for bit.
         outcomes_kept: latest outcomes kept of each pair, at least 1. With 1 the model holds the
             environment to be deterministic and believes what happened last.
+        ties: as of `QLearning`.
     """
 
     planning_steps: int = 10

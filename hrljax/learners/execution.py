@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from hrljax.core import checks
+from hrljax.core import checks, choices
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.definition import Hierarchy
 from hrljax.hierarchy.layout import StackLayout, stack_layout
@@ -23,7 +23,7 @@ from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.child_values import Known, Q
 from hrljax.learners.fading import Seen
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option
 from hrljax.learners.roots.base import AnySubtaskRoot, Decision, Question, SubtaskRoot
 from hrljax.learners.stack import Greedy, LevelEnd, StackOfSubtasks, StackState, Step, empty_stack
 from hrljax.learners.updates import Move, moved
@@ -60,9 +60,11 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
     epsilon: Hyperparameter = hyperparameter(0.1, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
+    ties: choices.Ties = later_option("first")
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._check_choice("ties", choices.Ties)
         owner = type(self).__name__
         checks.instance(f"{owner}: hierarchy", self.hierarchy, Hierarchy, "a Hierarchy such as env.hierarchy()")
         if self.root is None:

@@ -11,7 +11,7 @@ from hrljax.core.numerics import take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
 from hrljax.learners.base import Context, Learner, LearnerState, Reported, Transition, Words
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, report_option
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option, report_option
 from hrljax.learners.updates import Move, moved, td_target
 
 
@@ -20,9 +20,14 @@ class ActionValueLearner(Learner[int, Any, Any]):
 
     epsilon: Hyperparameter
     discount: Hyperparameter
+    ties: choices.Ties = "first"
 
     num_words = 1
     num_begin_words = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_choice("ties", choices.Ties)
 
     def action_values(self, tables: Any) -> Array:
         """``[S * A]`` float32, state by state."""
@@ -44,8 +49,12 @@ class ActionValueLearner(Learner[int, Any, Any]):
         return flat_policy(env, actions)
 
     def choose(self, row: list[Array], word: Array, context: Context) -> Array:
-        """The epsilon-greedy action (int32) for the action values of one state; uses one word."""
-        return choices.epsilon_greedy(choices.greedy(row)[0], len(row), word, at_episode(self.epsilon, context.episode))
+        """The epsilon-greedy action (int32) for the action values of one state; uses one word.
+
+        Which action a word means depends on whether it makes the learner explore: to each case it is a word of its own.
+        """
+        greedy = choices.greedy_by(self.ties, row, choices.greedy(row)[0], word)
+        return choices.epsilon_greedy(greedy, len(row), word, at_episode(self.epsilon, context.episode))
 
     def target(self, reward: Array, bootstrap: Array, terminated: Array, context: Context) -> Array:
         """What a value is moved to: ``reward + discount * bootstrap``, no bootstrap where the episode terminated."""
@@ -61,6 +70,7 @@ class StepSizeLearner(ActionValueLearner):
     epsilon: Hyperparameter = hyperparameter(0.1, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
+    ties: choices.Ties = later_option("first")
 
     def initial_values(self, env: AnyTabularEnvironment) -> Array:
         """``[S * A]`` float32: a table of action values before the first episode."""
@@ -122,10 +132,11 @@ class QLearning(_OneStep):
 
     Attributes:
         step_size: in (0, 1], or a schedule of the episode.
-        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
-            of equally good ones the first.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one.
         discount: in [0, 1].
         initial_value: of every state and action.
+        ties: of equally good actions it takes the ``"first"``, or a ``"random"`` one, each as likely as the others.
+            What is greedy without training (pictures, exact values) takes the first.
         report_td_error: whether results have the column ``td_error``, the mean absolute error of a step.
     """
 

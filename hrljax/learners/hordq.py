@@ -107,12 +107,15 @@ class HORDQ(_Decomposed):
         step_size: in (0, 1], or a schedule of the episode.
         epsilon: probability of a random child at every decision of a subtask, and of a random
             choice of a root that chooses greedily; or a schedule of the episode. Else the best child is
-            invoked, of equally good ones the first.
+            invoked.
         discount: in [0, 1].
         initial_value: of Q_e (of Q_c in MAXQ and in a root that learns); other parts begin at 0.
         pseudo_reward: paid to a subtask that ends in its goal; a number, a schedule of the episode or `Fading`.
         bootstrap: ``"greedy"`` bootstraps on the greedy child (thesis 3.12), ``"on_policy"`` on the
             child that is invoked next.
+        ties: of equally good children it invokes the ``"first"``, in the order of the subtask's children, or a
+            ``"random"`` one, each as likely as the others. Bootstraps, roots that do not learn, and what is greedy
+            without training (pictures, exact values) go by the first.
     """
 
     name = "HORDQ"

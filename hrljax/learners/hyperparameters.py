@@ -38,12 +38,17 @@ def hyperparameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def report_option() -> Any:
-    """A keyword-only dataclass field, False at first, that adds a column to results and changes nothing else.
+def later_option(default: Any) -> Any:
+    """A keyword-only dataclass field that came to a learner later.
 
-    It is no setting while it is off, so that stores from before it existed still continue.
+    It is no setting while it has its default, so that stores from before it existed still continue.
     """
-    return dataclasses.field(default=False, kw_only=True, metadata={"only_reports": True})
+    return dataclasses.field(default=default, kw_only=True, metadata={"came_later": True})
+
+
+def report_option() -> Any:
+    """A keyword-only dataclass field, False at first, that adds a column to results and changes nothing else."""
+    return later_option(False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,11 +87,11 @@ class Settings:
         return dataclasses.replace(self, **changed)
 
     def settings(self) -> dict[str, Any]:
-        """Every field by name, nested ones with a dot; of report options those that are on."""
+        """Every field by name, nested ones with a dot; of options that came later those that have not their default."""
         by_name: dict[str, Any] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.metadata.get("only_reports") and not value:
+            if field.metadata.get("came_later") and value == field.default:
                 continue
             if isinstance(value, Settings):
                 by_name[field.name] = type(value).__name__

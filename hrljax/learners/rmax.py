@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.choices import Ties
 from hrljax.core.lockstep import once_if
 from hrljax.core.numerics import take
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
 from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.flat import ActionValueLearner, row_of
-from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter, later_option
 
 
 class RMaxTables(NamedTuple):
@@ -34,7 +35,7 @@ class RMax(ActionValueLearner):
 
     Attributes:
         epsilon: probability of a uniformly random action, or a schedule of the episode; R-MAX itself
-            explores by optimism alone. Else it takes the best one, of equally good ones the first.
+            explores by optimism alone. Else it takes the best one.
         discount: in [0, 1].
         optimistic_value: of unknown pairs. Should be at least what any policy can earn: ``R_max / (1
             - discount)`` in the paper, 0 where every reward is a cost.
@@ -43,6 +44,7 @@ class RMax(ActionValueLearner):
         planning_sweeps: most Jacobi sweeps over all pairs when one becomes known, at least 1. A bound
             that is often reached is too low: where nothing is left to become known, values that are
             still too optimistic are not corrected any more.
+        ties: as of `QLearning`.
     """
 
     epsilon: Hyperparameter = hyperparameter(0.0, 0, 1, schedule=True)
@@ -51,6 +53,7 @@ class RMax(ActionValueLearner):
     planning_tolerance: Hyperparameter = hyperparameter(0.01, 0)
     known_after: int = 5
     planning_sweeps: int = 500
+    ties: Ties = later_option("first")
 
     name = "R-MAX"
 

@@ -103,6 +103,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
     root: AnySubtaskRoot | None
     epsilon: Hyperparameter
     discount: Hyperparameter
+    ties: choices.Ties
 
     def _ends(self, layout: StackLayout, stack: StackState, transition: Transition) -> list[LevelEnd]:
         """What a step ended on each level, from the first to the last."""
@@ -230,14 +231,18 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
             def row() -> Row[Q]:
                 return self._row(known, children, task, state)
 
+            def best(now: Row[Q]) -> Array:
+                return choices.greedy_by(self.ties, now.worth, now.best, word)
+
             if children.is_primitive:
-                best = row().best if greedy is None else greedy.slot_or(lambda: row().best)
-                slot = choices.epsilon_greedy(best, children.num_slots, word, epsilon)
+                asks = greedy is None or self.ties == "random"
+                slot = best(row()) if asks else greedy.slot_or(lambda: row().best)  # type: ignore[union-attr]
+                slot = choices.epsilon_greedy(slot, children.num_slots, word, epsilon)
                 q = self._stored_in(known, children, task, state, slot)
             else:
                 now = row()
                 can = [jnp.bool_(True) if allowed is None else allowed for allowed in now.allowed]
-                slot = lax.select(word < threshold(epsilon), choices.nth_allowed(can, word), now.best)
+                slot = lax.select(word < threshold(epsilon), choices.nth_allowed(can, word), best(now))
                 q = self._values_of(known, children, task, state, now, slot)
             return Choice(*known.layout.child_of(children, slot), slot, q)
 

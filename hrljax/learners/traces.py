@@ -152,8 +152,7 @@ class SARSALambda(_Traced):
 
     Attributes:
         step_size: in (0, 1], or a schedule of the episode.
-        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
-            of equally good ones the first.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one.
         discount: in [0, 1].
         initial_value: of every state and action.
         trace_decay: lambda in [0, 1], or a schedule of the episode; 0 gives SARSA(0) bit for bit.
@@ -162,6 +161,7 @@ class SARSALambda(_Traced):
         trace_length: visits kept, from 1 to 2**24.
         trace: whether visits of a pair in one episode add their traces (``"accumulating"``) or the
             last one counts (``"replacing"``; Singh and Sutton 1996, without reset of other actions).
+        ties: as of `QLearning`.
     """
 
     name = "SARSA(lambda)"

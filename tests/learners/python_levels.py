@@ -161,6 +161,10 @@ class Decomposed:
         if word < math.ceil(float(self.epsilon) * WORD_RANGE):
             allowed = self.allowed(task, state)
             return allowed[word % len(allowed)]
+        if self.learner.ties == "random":
+            worth = [self.worth(self.values(task, state, child), state) for child in self.allowed(task, state)]
+            tied = [c for c, value in zip(self.allowed(task, state), worth, strict=True) if value == max(worth)]
+            return tied[word % len(tied)]
         return self.best(task, state)
 
     def root_choice(self, state: int, word: int, is_first: bool = False) -> str:

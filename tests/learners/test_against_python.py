@@ -76,7 +76,10 @@ class Flat:
         self.epsilon, self.step_size = F(learner.epsilon), F(learner.step_size)
 
     def choose(self, state: int, word: int) -> int:
-        return word % 4 if explores(word, self.epsilon) else int(np.argmax(self.q[state]))
+        if explores(word, self.epsilon):
+            return word % 4
+        tied = np.flatnonzero(self.q[state] == self.q[state].max())
+        return int(tied[word % len(tied) if self.learner.ties == "random" else 0])
 
     def begin(self, episode: int, state: int, words: list[int]) -> None:
         self.action = self.choose(state, words[0])
@@ -179,6 +182,8 @@ HIERARCHY = Bus().hierarchy()
 LEARNERS = {
     "Q-learning": hrljax.QLearning(initial_value=-25.0, discount=0.97),
     "SARSA": hrljax.SARSA(step_size=0.3, epsilon=0.2, discount=0.97, initial_value=-3.0),
+    "Q-learning, random ties": hrljax.QLearning(initial_value=-25.0, ties="random"),
+    "SARSA, random ties": hrljax.SARSA(ties="random"),
     "HORDQ": hrljax.HORDQ(HIERARCHY, hrljax.RandomRoot(), pseudo_reward=5.0, discount=0.97, initial_value=-25.0),
     "HORDQ on policy": hrljax.HORDQ(
         HIERARCHY,

@@ -145,6 +145,8 @@ CASES = {
     "HORDQ, grid under a random root": hordq("grid under a random root", root=hrljax.RandomRoot()),
     "HORDQ, halves": hordq("halves", root=hrljax.RandomRoot()),
     "HORDQ on policy, grid": hordq("grid", bootstrap="on_policy"),
+    "HORDQ with random ties, grid": hordq("grid", ties="random"),
+    "HORDQ with random ties, flat": hordq("flat", ties="random"),
     "MAXQ, taxi": hrljax.MAXQ(DOMAINS["taxi"].hierarchy, pseudo_reward=7.0, **NUMBERS),
     "MAXQ0, grid": hrljax.MAXQ0(DOMAINS["grid"].hierarchy, **NUMBERS),
     "HORDQ that fades, grid": hrljax.HORDQ(DOMAINS["grid"].hierarchy, pseudo_reward=FADING, **NUMBERS),
@@ -154,6 +156,7 @@ CASES = {
     "shared, completed grid": shared("completed grid", pseudo_reward=4.0),
     "shared, flat": shared("flat", taught="active"),
     "shared, child first": shared("child first", pseudo_reward=4.0, taught="active"),
+    "shared with random ties, completed grid": shared("completed grid", ties="random"),
     "shared on policy, completed grid": shared("completed grid", bootstrap="on_policy", taught="active"),
     "shared, completed grid under a random root": shared(
         "completed grid under a random root",

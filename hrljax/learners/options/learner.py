@@ -15,7 +15,7 @@ from hrljax.hierarchy.layout import ChildSet, StackLayout
 from hrljax.hierarchy.policy import HierarchicalPolicy
 from hrljax.hierarchy.tables import state_in_words
 from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option
 from hrljax.learners.options.definition import Options
 from hrljax.learners.updates import Move, moved, td_target
 
@@ -60,9 +60,10 @@ class OptionQ(Learner[OptionTables, Array, Running]):
         update: ``"smdp"`` or ``"intra_option"``.
         step_size: in (0, 1], or a schedule of the episode.
         epsilon: probability of a uniformly random option at every choice, or a schedule of the episode. Else
-            the best one that can begin, of equally good ones the first.
+            the best one that can begin.
         discount: in [0, 1], of a primitive step.
         initial_value: of every state and option.
+        ties: of equally good options, as of `QLearning`.
     """
 
     options: Options
@@ -71,6 +72,7 @@ class OptionQ(Learner[OptionTables, Array, Running]):
     epsilon: Hyperparameter = hyperparameter(0.1, 0, 1, schedule=True)
     discount: Hyperparameter = hyperparameter(1.0, 0, 1)
     initial_value: Hyperparameter = hyperparameter(0.0)
+    ties: choices.Ties = later_option("first")
 
     name = "options"
     num_words = 1
@@ -80,6 +82,7 @@ class OptionQ(Learner[OptionTables, Array, Running]):
         super().__post_init__()
         checks.instance("OptionQ: options", self.options, Options, "Options such as options_from(...)")
         self._check_choice("update", Update)
+        self._check_choice("ties", choices.Ties)
 
     def prepare(self, env: AnyTabularEnvironment) -> OptionTables:
         """Raises ValueError if the options are not over the environment, or in some state none can begin."""
@@ -175,7 +178,8 @@ class OptionQ(Learner[OptionTables, Array, Running]):
     def _called(self, prepared: OptionTables, q: Array, state: Array, word: Array, context: Context) -> Running:
         """The option that is called in a state."""
         row, count = prepared.row(state), prepared.num_options
-        greedy = best_option(take_row(q, state * count, count), row)[0]
+        values = _worth(take_row(q, state * count, count), row)
+        greedy = choices.greedy_by(self.ties, values, choices.greedy(values)[0], word)
         can_begin = [(row[o] & 1) != 0 for o in range(count)]
         explores = word < threshold(at_episode(self.epsilon, context.episode))
         option = lax.select(explores, choices.nth_allowed(can_begin, word), greedy)
@@ -189,8 +193,13 @@ def _entry(row: Array, index: Array) -> Array:
 
 def best_option(values: Array, row: Array) -> tuple[Array, Array]:
     """The best option (int32) that can begin, and its value."""
+    return choices.greedy(_worth(values, row))
+
+
+def _worth(values: Array, row: Array) -> list[Array]:
+    """The values of options, -inf of those that cannot begin."""
     never = jnp.float32(-np.inf)
-    return choices.greedy([lax.select((row[o] & 1) != 0, values[o], never) for o in range(len(values))])
+    return [lax.select((row[o] & 1) != 0, values[o], never) for o in range(len(values))]
 
 
 def option_tables(options: Options, env: AnyTabularEnvironment) -> OptionTables:
