@@ -34,7 +34,7 @@ def _text(text: str, folder: Path) -> dict[str, Any]:
 
 def _code(code: str) -> dict[str, Any]:
     """Code; a cell that ends with a picture shows it."""
-    code = re.sub(r"\.figure\.savefig\([^()]*\)\s*$", "", code)
+    code = re.sub(r"(\.figure)?\.savefig\([^()]*\)\s*$", "", code)
     return {"cell_type": "code", "metadata": {}, "source": code.strip(), "outputs": [], "execution_count": None}
 
 

@@ -19,6 +19,7 @@ def tiny() -> list[Runs]:
     return [runs for group, dataset in sweeps for runs in by_learner(group, dataset)]
 
 
+@pytest.mark.slow
 def test_every_learner_has_a_row_under_every_root(tiny: list[Runs]):
     entries = rows(tiny, WORTH)
     assert [(row["learner"], row["quality"]) for row in entries] == [(name, q) for name in NAMES for q in WORTH]

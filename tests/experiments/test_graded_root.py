@@ -162,6 +162,7 @@ def test_it_chooses_as_often_as_its_probabilities_say(quality: float):
     np.testing.assert_allclose(shares, choice_probabilities(advice(), quality)[states], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_qualities_are_an_axis_of_a_sweep_and_of_its_exact_evaluation():
     learner = hrl.HORDQ(HIERARCHY, GradedRoot(), pseudo_reward=5.0, initial_value=-25.0)
     options = {"seeds": 2, "num_episodes": 40, "bin_size": 20, "evaluate_every": 1, "progress": False, "cores": 1}

@@ -38,6 +38,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_it_writes_pictures_a_table_and_stores(written: Path):
     pictures = ["heat_maps.png", "intervals.png", "sensitivity.png"]
     expected = ["heat_maps.png", "intervals.png", "learning_rates.csv", "sensitivity.png", "stores", "summary.json"]

@@ -27,6 +27,7 @@ def bus(step_values: Any) -> tuple[Any, Any]:
     return adapter.make(SMALL, one_hot=True, step_values=step_values, params={"max_steps": 200})
 
 
+@pytest.mark.slow
 def test_ppo_learns():
     returns = np.asarray(jax.jit(make_train(Config(num_envs=16, num_updates=24), *bus(6)))(jax.random.PRNGKey(0)))
     assert returns[0] < 4 * OPTIMUM

@@ -41,7 +41,7 @@ def test_the_key_decides_what_happens():
 def test_a_policy_with_a_memory_forgets_it_before_the_episode():
     env = hrl.make("Bus")
     learner = hrl.HORDQ(env.hierarchy(), pseudo_reward=5.0, initial_value=-25.0)
-    run = hrl.train(env, learner, jax.random.key(0), 300)
+    run = jax.jit(lambda key: hrl.train(env, learner, key, 2))(jax.random.key(0))
     policy = hrl.Learned(env, learner, run.learned).policy()
     first = hrl.rollout(env, policy, max_steps=3)
     assert hrl.rollout(env, policy, max_steps=3).table.identical(first.table)

@@ -76,6 +76,7 @@ def test_both_numbers_can_be_swept_under_every_mapping(name: str):
     np.testing.assert_array_equal(fixed["return"], returns[0, 0])
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_was_and_comes_back_from_disk(tmp_path: Path):
     learner = LEARNERS["shared"]
     whole = swept(learner, num_episodes=40, keep_learned=True)

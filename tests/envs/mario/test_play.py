@@ -48,6 +48,7 @@ def test_the_runner_jumps_over_a_pit_and_wins_and_the_film_shows_every_tick():
     assert not standing[-1].terminated
 
 
+@pytest.mark.slow
 def test_the_script_films_a_game_that_can_be_played_again(tmp_path):
     level = tmp_path / "level.txt"
     level.write_text(LEVEL)

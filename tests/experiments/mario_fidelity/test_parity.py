@@ -99,6 +99,7 @@ def test_a_changed_tile_and_a_lost_sprite_are_found(short_game):
     assert f"after tick {row} the kinds of sprites are" in found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("field", "change", "text"),
     [

@@ -136,6 +136,7 @@ def test_where_no_concept_holds_only_biases_of_their_own_tell_actions_apart(walk
     np.testing.assert_array_equal(values, expected)
 
 
+@pytest.mark.slow
 def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
     """Runs in step under `vmap` take such steps; the trail has to stay as it is, at its end and where it wraps."""
     learner = RelationalHORDQ(epsilon=0.3, trace_length=5, trace_decay=0.8)
@@ -293,6 +294,7 @@ def test_only_mario_can_be_played():
         hrl.train(hrl.make("Bus"), RelationalHORDQ(), jax.random.key(0), 1)
 
 
+@pytest.mark.slow
 def test_the_number_of_nodes_can_be_swept(walk: Recorded):
     root = hrl.SearchRoot(model=hrl.MarioDynamics(), max_nodes=9, room=90, priority="last_reward")
     learner = RelationalHORDQ(root)

@@ -70,6 +70,7 @@ def test_equal_transitions_are_one_row_with_a_weight(walk: list[Transition]):
     np.testing.assert_array_equal(kept.values[: -MODEL._width], once.values[: -MODEL._width])
 
 
+@pytest.mark.slow
 def test_a_transition_that_does_not_count_changes_nothing_that_is_read(walk: list[Transition]):
     before, after = observed(MODEL, [walk[:3]]), observed(MODEL, [walk[:3]])
     ignore = jax.jit(lambda tables, step: MODEL.observe(ENV, tables, step, jnp.bool_(False)))
