@@ -34,6 +34,7 @@ from hrljax.learners.options.definition import Options, options_from, primitive_
 from hrljax.learners.options.discovery import bottleneck_options, eigen_options  # noqa: E402
 from hrljax.learners.options.h_dyna import HDyna  # noqa: E402
 from hrljax.learners.options.learner import OptionQ  # noqa: E402
+from hrljax.learners.relational.encounter_model import MarioEncounters  # noqa: E402
 from hrljax.learners.relational.given_model import MarioDynamics  # noqa: E402
 from hrljax.learners.relational.learned_model import MarioModel  # noqa: E402
 from hrljax.learners.relational.learner import RelationalHORDQ  # noqa: E402
@@ -82,6 +83,7 @@ __all__ = [
     "LinearRoot",
     "MarioAStar",
     "MarioDynamics",
+    "MarioEncounters",
     "MarioModel",
     "ModelRoot",
     "MultiwayModel",

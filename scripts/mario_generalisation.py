@@ -2,22 +2,27 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import interruptible  # noqa: F401
 
-from hrljax.experiments import mario_generalisation, mario_hybrid, program
+from hrljax.core import checks
+from hrljax.experiments import mario_generalisation, program
 
 
 @dataclass(frozen=True)
 class Options:
-    """The best hybrid, trained on sets of levels, plays levels that it has not seen (types 0-2, difficulties 0-5).
+    """A hybrid, trained on sets of levels, plays levels that it has not seen (types 0-2, difficulties 0-5).
 
     Writes generalisation.png and summary.json: a list of "trained_on", "level_type", "difficulty",
     "finished" (a fraction) with "mean", "lo", "hi", "distance" (tiles), "return", "length" (steps),
     "levels", "seeds".
     """
 
+    learns: Literal["values", "encounters"] = "encounters"
+    """What is learned: values of things, as in the thesis, or what it is to meet them."""
+    trained_on: tuple[str, ...] = tuple(mario_generalisation.TRAINED_ON)
+    """Names of the sets of levels."""
     seeds: int = 4
     """Runs of training for each set."""
     episodes: int = 1000
@@ -34,6 +39,8 @@ class Options:
 
 def main(options: Options) -> int:
     program.check_counts(options, "seeds", "episodes", "levels")
+    for name in options.trained_on:
+        checks.choice("--trained-on", name, tuple(mario_generalisation.TRAINED_ON))
     options.out.mkdir(parents=True, exist_ok=True)
     played = mario_generalisation.LevelSet(
         mario_generalisation.LEVEL_TYPES,
@@ -43,9 +50,9 @@ def main(options: Options) -> int:
     )
     rows: list[dict[str, Any]] = []
     sets = mario_generalisation.rows(
-        mario_generalisation.TRAINED_ON,
+        options.trained_on,
         played,
-        mario_hybrid.BEST,
+        mario_generalisation.LEARNERS[options.learns],
         options.seeds,
         options.episodes,
         options.cores,

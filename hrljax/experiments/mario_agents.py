@@ -1,16 +1,40 @@
 """Infinite Mario by agents that others have described: what they finish, beside this library's."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
+import xarray as xr
 from scipy import stats as distributions
 
+from hrljax.experiments import mario_hybrid
 from hrljax.experiments.mario_generalisation import PLAYED_FROM, LevelPlayer, LevelSet
 from hrljax.experiments.rows import Row
+from hrljax.learners.base import AnyLearner
 from hrljax.learners.mario.a_star import MarioAStar
+from hrljax.learners.mario.nearest_things import NearestThingsSARSA
+from hrljax.learners.mario.sample import SampleAgent
+from hrljax.sweeps.sweep import sweep
 
 PLANNER = MarioAStar()
+AGENTS: dict[str, AnyLearner] = {
+    "sample agent, no memory": SampleAgent(has_memory=False),
+    "sample agent": SampleAgent(),
+    "nearest things": NearestThingsSARSA(),
+}
+"""The competition's own agent, with and without its memory, and the winner's as it has been described."""
+
+
+def described_rows(
+    names: Iterable[str], seeds: int, num_episodes: int, cores: int | None, key: int
+) -> Iterator[tuple[Row, xr.Dataset]]:
+    """The rows that Table 4.1 lacks: agents on the thesis's level, by its rewards and its clock, with their curves."""
+    env = mario_hybrid.environment()
+    for name in names:
+        curves = sweep(
+            env, AGENTS[name], seeds=seeds, num_episodes=num_episodes, bin_size=1, chunk_size=1, cores=cores, key=key
+        )
+        yield mario_hybrid.summary_row(name, curves), curves
 
 
 def share_row(count: int, of: int) -> Row:

@@ -21,26 +21,23 @@ from hrljax.core import checks, choices
 from hrljax.core.numerics import put_row, take, take_row
 from hrljax.envs.base import AnyEnvironment
 from hrljax.envs.mario.competition import Episode
-from hrljax.envs.mario.engine.state import MAX_SPRITES
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.mario.features import NUM_OBJECT_CELLS, object_cells, objects
 from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
 from hrljax.learners.fading import Fading, Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.relational.concepts import Concepts, ConceptSet, ThingsOnScreen
 from hrljax.learners.relational.search_root import Plan, SearchRoot
 from hrljax.learners.roots.base import Decision
 from hrljax.learners.updates import td_target
 
 Bootstrap = Literal["on_policy", "greedy"]
 Bias = Literal["own", "shared"]
-Concepts = tuple[Array, Array]
-"""Numbers of the concepts that hold (int32 [MAX_SPRITES], those that do first) and how many they are (int32)."""
 
 
 class Trail(NamedTuple):
     """The last L updates that eligibility reaches back to, in a ring."""
 
-    cells: Array  # [L, MAX_SPRITES] int32
+    cells: Array  # [L, most that hold] int32
     counts: Array  # [L] int32
     actions: Array  # [L] int32
     length: Array  # int32: entries of this episode
@@ -87,6 +84,8 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         trace_decay: lambda of accumulating traces, in [0, 1]; needs a `trace_length`.
         trace_length: steps that traces reach back, 0 for none (static).
         initial_value: of every action at first.
+        concepts: what has weights: the thesis's things on the screen, or others of
+            `hrljax.learners.relational.concepts`.
         bootstrap: ``"on_policy"`` on the action taken next (SARSA), ``"greedy"`` on the best action
             without the bonus.
         bias: the weight that always counts is every action's ``"own"``, or one is ``"shared"`` by all: then actions
@@ -103,6 +102,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
     trace_length: int = 0
     bootstrap: Bootstrap = "on_policy"
     bias: Bias = "own"
+    concepts: ConceptSet = ThingsOnScreen()
 
     name = "relational HORDQ"
     is_tabular = False
@@ -113,6 +113,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         super().__post_init__()
         if self.root is not None:
             checks.instance("RelationalHORDQ: root", self.root, SearchRoot, "None or a SearchRoot")
+        checks.instance("RelationalHORDQ: concepts", self.concepts, ConceptSet, "ThingsOnScreen() or NearestThings()")
         self._check_choice("bootstrap", Bootstrap)
         self._check_choice("bias", Bias)
         self._check_integer("trace_length", 0)
@@ -127,23 +128,25 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
 
     def init(self, env: Mario, prepared: Prepared) -> LearnerState:
         actions = prepared.num_actions
-        weights = jnp.zeros((NUM_OBJECT_CELLS + 1) * actions, jnp.float32)
+        weights = jnp.zeros((self.concepts.num + 1) * actions, jnp.float32)
         initial = jnp.broadcast_to(jnp.asarray(self.initial_value, jnp.float32), (actions,))
-        weights = put_row(weights, jnp.int32(NUM_OBJECT_CELLS * actions), initial)
+        weights = put_row(weights, jnp.int32(self.concepts.num * actions), initial)
         trail: Trail | None = None
         if self.trace_length:
             places = jnp.zeros(self.trace_length, jnp.int32)
-            cells = jnp.zeros((self.trace_length, MAX_SPRITES), jnp.int32)
+            cells = jnp.zeros((self.trace_length, self.concepts.most), jnp.int32)
             trail = Trail(cells, places, places, jnp.int32(0))
         root: chex.ArrayTree = () if self.root is None else self.root.init(prepared.env)
-        seen = self.pseudo_reward.nothing_seen(NUM_OBJECT_CELLS + 1) if isinstance(self.pseudo_reward, Fading) else None
+        seen = (
+            self.pseudo_reward.nothing_seen(self.concepts.num + 1) if isinstance(self.pseudo_reward, Fading) else None
+        )
         return LearnerState(Tables(weights, trail, root, seen), Control(jnp.int32(0), None))
 
     def begin(self, prepared: Prepared, tables: Tables, first: Episode, words: Words, context: Context) -> Control:
         decision: Suggestion = None
         if self.root is not None:
             decision = self.root.begin(prepared.env, tables.root, first, context)
-        concepts = _concepts(first)
+        concepts = self.concepts.held(prepared.env, first)
         values = self._values(prepared, tables.weights, concepts)
         bonus = self._bonus(tables.seen, concepts, context)
         return Control(self._choose(values, bonus, decision, words[0], context), decision)
@@ -162,7 +165,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             root, decision = self.root.step(
                 prepared.env, root, decision, transition, True, discount, transition.next_state, context
             )
-        before, after = _concepts(transition.state), _concepts(transition.next_state)
+        before, after = (self.concepts.held(prepared.env, at) for at in (transition.state, transition.next_state))
         values = self._values(prepared, tables.weights, after)
         action = self._choose(values, self._bonus(tables.seen, after, context), decision, words[0], context)
         q_next = choices.pick(values, action) if self.bootstrap == "on_policy" else choices.greedy(values)[1]
@@ -196,7 +199,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             i, total = carry
             return i + 1, total + take_row(weights, cells[i] * np.int32(actions), actions)
 
-        alone = take_row(weights, jnp.int32(NUM_OBJECT_CELLS * actions), actions)
+        alone = take_row(weights, jnp.int32(self.concepts.num * actions), actions)
         alone = jnp.broadcast_to(alone[0], alone.shape) if self.bias == "shared" else alone
         _, total = lax.while_loop(lambda carry: carry[0] < count, add, (jnp.int32(0), alone))
         return [total[a] for a in range(actions)]
@@ -208,10 +211,10 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
 
         def add(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             i, weights = carry
-            cell = lax.select(i < 0, jnp.int32(NUM_OBJECT_CELLS), cells[lax.max(i, jnp.int32(0))])
+            cell = lax.select(i < 0, jnp.int32(self.concepts.num), cells[lax.max(i, jnp.int32(0))])
             place = cell * actions + action
             if self.bias == "shared":
-                place = lax.min(place, jnp.int32(NUM_OBJECT_CELLS) * actions)
+                place = lax.min(place, jnp.int32(self.concepts.num) * actions)
             return i + 1, put_row(weights, place, take_row(weights, place, 1) + change)
 
         return lax.while_loop(lambda carry: carry[0] < count, add, (jnp.int32(-1), weights))[1]
@@ -246,7 +249,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             return i + 1, put_row(visits, cells[i], take_row(visits, cells[i], 1) + once)
 
         # The action alone is a concept that always holds.
-        counted = self.pseudo_reward.after_seeing(seen, jnp.int32(NUM_OBJECT_CELLS), transition.reward, context)
+        counted = self.pseudo_reward.after_seeing(seen, jnp.int32(self.concepts.num), transition.reward, context)
         return counted._replace(visits=lax.while_loop(lambda c: c[0] < count, add, (jnp.int32(0), counted.visits))[1])
 
     def _bonus(self, seen: Seen | None, concepts: Concepts, context: Context) -> Array:
@@ -260,7 +263,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             i, fewest = carry
             return i + 1, lax.min(fewest, take(visits, cells[i]))
 
-        start = jnp.int32(0), visits[NUM_OBJECT_CELLS]
+        start = jnp.int32(0), visits[self.concepts.num]
         _, fewest = lax.while_loop(lambda carry: carry[0] < count, least, start)
         return self.pseudo_reward.at(seen, fewest, context)
 
@@ -271,20 +274,6 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             values = [value + lax.select(decision.task == a, bonus, no_bonus) for a, value in enumerate(values)]
         best = choices.greedy(values)[0]
         return choices.epsilon_greedy(best, len(values), word, at_episode(self.epsilon, context.episode))
-
-
-def _concepts(episode: Episode) -> Concepts:
-    """The concepts that hold now, packed to the front."""
-    seen = objects(episode.world.player, episode.world.sprites, episode.world.num_sprites)
-    cells, listed = object_cells(seen), seen.mask
-
-    def pack(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        packed, count = carry
-        return put_row(packed, count, cells[i][None]), count + listed[i].astype(jnp.int32)
-
-    start = (jnp.zeros(len(cells) + 1, jnp.int32), jnp.int32(0))
-    packed, count = lax.fori_loop(jnp.int32(0), episode.world.num_sprites, pack, start)
-    return packed[: len(cells)], count
 
 
 def _reached(trail: Trail, concepts: Concepts, transition: Transition, length: int, learns: Array) -> Trail:
