@@ -226,6 +226,7 @@ def fit_groups(data: tuple[np.ndarray, ...]) -> tuple[Trees, jax.Array]:
     return trees, jax.vmap(lambda g, k: predict(trees, data[0][0], g, k))(g, k)
 
 
+@pytest.mark.slow
 def test_mappings_agree_bit_for_bit():
     data = [grouped(seed, 60) for seed in range(2)]
     stacked = tuple(map(jnp.stack, zip(*data, strict=True)))
