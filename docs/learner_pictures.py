@@ -20,17 +20,18 @@ def curves(
     lowest: float,
     title: str,
     params: Any = None,
+    seeds: int = SEEDS,
 ) -> Figure:
     """Returns per episode, exploration included, and the exact optimum."""
     runs = {
-        name: hrl.sweep(env, learner, seeds=SEEDS, num_episodes=episodes, params=params, progress=False)
+        name: hrl.sweep(env, learner, seeds=seeds, num_episodes=episodes, params=params, progress=False)
         for name, learner in learners.items()
     }
     optimum = env.initial_distribution(params) @ hrl.solvers.value_iteration(env.model(params)).value
     figure = Figure(figsize=(7.5, 4), layout="constrained")
     ax = figure.subplots()
     hrl.plots.learning_curves(runs, window=window, ax=ax, references={"optimum": float(optimum)})
-    ax.set_title(f"{title}, {SEEDS} seeds")
+    ax.set_title(f"{title}, {seeds} seeds")
     ax.set_ylim(lowest, float(optimum) + 0.06 * (float(optimum) - lowest))
     return figure
 
@@ -84,6 +85,27 @@ def r_max() -> Figure:
             "Q-learning": hrl.QLearning(step_size=0.5),
         }
     )
+
+
+def rl_dt() -> Figure:
+    """The effects of actions said in two ways, beside learners that do not generalise."""
+    learners = {
+        "RL-DT, relative effects": hrl.RLDT(optimistic_value=20.0),
+        "RL-DT, absolute effects": hrl.RLDT(optimistic_value=20.0, effects="absolute"),
+        "R-MAX": hrl.RMax(optimistic_value=20.0, known_after=1),
+        "Dyna-Q": hrl.DynaQ(step_size=0.5, planning_steps=50),
+    }
+    return curves(hrl.make("Taxi"), learners, 120, window=5, lowest=-400, title="Taxi", seeds=20)
+
+
+def sdyna() -> Figure:
+    learners = {
+        "SPITI": hrl.SPITI(least_score=4.0),
+        "RL-DT": hrl.RLDT(),
+        "R-MAX": hrl.RMax(known_after=1),
+        "Q-learning": hrl.QLearning(step_size=0.5),
+    }
+    return curves(hrl.make("Maze"), learners, 60, window=3, lowest=-60, title="Maze", seeds=20)
 
 
 def options() -> Figure:
@@ -223,6 +245,8 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         traces,
         dyna_q,
         r_max,
+        rl_dt,
+        sdyna,
         options,
         discovered_options,
         h_dyna,

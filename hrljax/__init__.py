@@ -40,6 +40,7 @@ from hrljax.learners.relational.learned_model import MarioModel  # noqa: E402
 from hrljax.learners.relational.learner import RelationalHORDQ  # noqa: E402
 from hrljax.learners.relational.multiway_model import MultiwayModel  # noqa: E402
 from hrljax.learners.relational.search_root import SearchRoot  # noqa: E402
+from hrljax.learners.rldt import RLDT, SPITI  # noqa: E402
 from hrljax.learners.rmax import RMax  # noqa: E402
 from hrljax.learners.roots.linear import LinearRoot  # noqa: E402
 from hrljax.learners.roots.model import ModelRoot  # noqa: E402
@@ -68,7 +69,9 @@ __all__ = [
     "HORDQ",
     "MAXQ",
     "MAXQ0",
+    "RLDT",
     "SARSA",
+    "SPITI",
     "Abstraction",
     "CSVLog",
     "DynaQ",

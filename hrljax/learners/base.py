@@ -101,6 +101,8 @@ class Learner(Settings, ABC, Generic[Prepared, Tables, Control]):
     name: ClassVar[str]
     is_tabular: ClassVar[bool] = True
     """Whether it needs a tabular environment."""
+    has_loops: ClassVar[bool] = False
+    """Whether `learn` or `plan` hold loops that change arrays several times; decides how native loops are compiled."""
     num_words: ClassVar[int]
     """Random words that one `learn` uses."""
     num_begin_words: ClassVar[int]

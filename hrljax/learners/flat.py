@@ -1,7 +1,7 @@
 """Flat tabular learners: one table of action values, one step of lookahead."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -10,13 +10,13 @@ from hrljax.core import choices
 from hrljax.core.numerics import take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
-from hrljax.learners.base import Context, Learner, LearnerState, Reported, Transition, Words
+from hrljax.learners.base import Context, Learner, LearnerState, Prepared, Reported, Transition, Words
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option, report_option
 from hrljax.learners.updates import Move, moved, td_target
 
 
-class ActionValueLearner(Learner[int, Any, Any]):
-    """A learner that acts epsilon-greedily in one table of action values."""
+class EpsilonGreedyLearner(Learner[Prepared, Any, Any], Generic[Prepared]):
+    """A learner that acts epsilon-greedily in a table of action values; its control is the next action."""
 
     epsilon: Hyperparameter
     discount: Hyperparameter
@@ -33,19 +33,13 @@ class ActionValueLearner(Learner[int, Any, Any]):
         """``[S * A]`` float32, state by state."""
         return tables.values
 
-    def prepare(self, env: AnyTabularEnvironment) -> int:
-        return env.num_actions
-
-    def begin(self, prepared: int, tables: Any, first: Array, words: Words, context: Context) -> Any:
-        return self.choose(row_of(self.action_values(tables), first, prepared), words[0], context)
-
     def action(self, control: Any) -> Array:
         return control
 
     def greedy_policy(
-        self, env: AnyTabularEnvironment, prepared: int, tables: Any, context: Context
+        self, env: AnyTabularEnvironment, prepared: Prepared, tables: Any, context: Context
     ) -> HierarchicalPolicy:
-        actions = jnp.argmax(self.action_values(tables).reshape(-1, prepared), axis=-1).astype(jnp.int32)
+        actions = jnp.argmax(self.action_values(tables).reshape(-1, env.num_actions), axis=-1).astype(jnp.int32)
         return flat_policy(env, actions)
 
     def choose(self, row: list[Array], word: Array, context: Context) -> Array:
@@ -55,6 +49,16 @@ class ActionValueLearner(Learner[int, Any, Any]):
         """
         greedy = choices.greedy_by(self.ties, row, choices.greedy(row)[0], word)
         return choices.epsilon_greedy(greedy, len(row), word, at_episode(self.epsilon, context.episode))
+
+
+class ActionValueLearner(EpsilonGreedyLearner[int]):
+    """A learner that acts epsilon-greedily in one table of action values."""
+
+    def prepare(self, env: AnyTabularEnvironment) -> int:
+        return env.num_actions
+
+    def begin(self, prepared: int, tables: Any, first: Array, words: Words, context: Context) -> Any:
+        return self.choose(row_of(self.action_values(tables), first, prepared), words[0], context)
 
     def target(self, reward: Array, bootstrap: Array, terminated: Array, context: Context) -> Array:
         """What a value is moved to: ``reward + discount * bootstrap``, no bootstrap where the episode terminated."""

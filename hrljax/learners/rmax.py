@@ -15,6 +15,7 @@ from hrljax.learners import samples as model
 from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.flat import ActionValueLearner, row_of
 from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter, later_option
+from hrljax.learners.planning import settled
 
 
 class RMaxTables(NamedTuple):
@@ -96,22 +97,15 @@ class RMax(ActionValueLearner):
         reward = context.product(share, _sum(list(tables.samples.reward.reshape(-1, num_pairs))))
         discount = jnp.asarray(self.discount, jnp.float32)
 
-        def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            values, _, count = carry
+        def sweep(values: Array) -> Array:
             at_states = jnp.concatenate([values.reshape(-1, prepared).max(-1), jnp.zeros(1, jnp.float32)])
             follows = [at_states.at[states].get(mode="promise_in_bounds") for states in after]
             mean = context.product(share, _sum(follows))
             backed_up = reward + context.product(jnp.broadcast_to(discount, mean.shape), mean)
-            new = lax.select(known, backed_up, jnp.broadcast_to(self._optimistic(), backed_up.shape))
-            return new, jnp.abs(new - values).max(), count + 1
+            return lax.select(known, backed_up, jnp.broadcast_to(self._optimistic(), backed_up.shape))
 
         tolerance = jnp.asarray(self.planning_tolerance, jnp.float32)
-        values, _, _ = lax.while_loop(
-            lambda carry: (carry[1] > tolerance) & (carry[2] < self.planning_sweeps),
-            sweep,
-            (tables.values, jnp.float32(np.inf), jnp.int32(0)),
-        )
-        return tables._replace(values=values)
+        return tables._replace(values=settled(sweep, tables.values, tolerance, self.planning_sweeps))
 
     def _optimistic(self) -> Array:
         return jnp.asarray(self.optimistic_value, jnp.float32)

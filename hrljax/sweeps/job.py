@@ -185,7 +185,8 @@ class _Mapped:
         # Native loops take one run after the other.
         together = learned_bytes(job.env, job.learner) if job.mapping == "vmap" else 0
         group = batch.group_length(together)
-        mapped = batch.compile_mapped(lambda row: job.run(row), job.mapping, job.env.has_loops, group)
+        has_loops = job.env.has_loops or job.learner.has_loops
+        mapped = batch.compile_mapped(lambda row: job.run(row), job.mapping, has_loops, group)
         self._jitted = cast(jax.stages.Wrapped, mapped)
         self._compilations: dict[str, Future[jax.stages.Compiled]] = {}  # by the shapes
         self._lock = threading.Lock()

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks
-from hrljax.core.numerics import put_row, take, take_row
+from hrljax.core.numerics import exact_product, put_row, take, take_row
 from hrljax.core.random import threshold, words
 from hrljax.trees.partition import CHUNK, parted
 from hrljax.trees.scores import chi_squared, gain_ratio, gather
@@ -305,13 +305,18 @@ class ClassificationTrees:
         begin = root, gather(forest.tests, root)
         return lax.while_loop(lambda carry: (carry[1] != LEAF).any(), descend, begin)[0]
 
-    def probability(self, forest: Forest, leaf: Array, which: Array | int) -> Array:
-        """The share of a class (int32) among the rows of leaves (``[R]`` int32), 0 where there are none; float32."""
-        first = leaf * np.int32(self.most_classes)
-        counts = [gather(forest.counts, first + np.int32(c)) for c in range(self.most_classes)]
-        rows = counts[0]
-        for count in counts[1:]:
-            rows = rows + count
-        return gather(forest.counts, first + which).astype(jnp.float32) / lax.max(rows, jnp.int32(1)).astype(
-            jnp.float32
-        )
+    def shares(self, forest: Forest, zero: Array) -> Array:
+        """``[T * N * C]`` float32: the share of each class among the rows of a node, 0 where there are none.
+
+        Args:
+            forest: the trees.
+            zero: see `hrljax.core.numerics.opaque_zero`.
+        """
+        counts = forest.counts.reshape(-1, self.most_classes)
+        return share_of(counts, counts.sum(1, dtype=jnp.int32)[:, None], zero).reshape(-1)
+
+
+def share_of(count: Array, rows: Array, zero: Array) -> Array:
+    """``count / rows`` of whole numbers, 0 of no rows: times the reciprocal, as which XLA computes some divisions."""
+    reciprocal = np.float32(1) / lax.max(rows, jnp.int32(1)).astype(jnp.float32)
+    return exact_product(count.astype(jnp.float32), reciprocal, zero)

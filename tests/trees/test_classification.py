@@ -9,83 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import chi2_contingency
+from scipy.stats.contingency import chi2_contingency
 
 from hrljax.core.random import words
 from hrljax.engine.compiler import NESTED_OPTIONS
 from hrljax.trees.classification import LEAF, Chance, ClassificationTrees, Data, Forest
-from hrljax.trees.scores import LOG_BITS, chi_squared, gain_ratio, n_log_n
+from hrljax.trees.scores import chi_squared, gain_ratio, n_log_n
+from tests.trees.python_trees import grown, leaves, log_of
 
 F = np.float32
 ZERO = jnp.uint32(0)
-
-
-def log_of(n: int) -> F:
-    """``n log2 n`` in the steps of the table."""
-    if n == 0:
-        return F(0)
-    mantissa, exponent = np.frexp(F(n))
-    place = (F(mantissa) * F(2) - F(1)) * F(1 << LOG_BITS)
-    entry = int(place)
-    low, high = (F(np.log2(1 + (entry + i) / (1 << LOG_BITS))) for i in (0, 1))
-    return F(n) * (F(exponent - 1) + (low + (place - F(entry)) * (high - low)))
-
-
-def total(values: list[F]) -> F:
-    result = values[0]
-    for value in values[1:]:
-        result = result + value
-    return result
-
-
-def entropy(parts: list[int]) -> F:
-    return log_of(sum(parts)) - total([log_of(part) for part in parts])
-
-
-def ratio(passing: list[int], everything: list[int]) -> F:
-    failing = [a - b for a, b in zip(everything, passing, strict=True)]
-    return (entropy(everything) - entropy(passing) - entropy(failing)) / entropy([sum(passing), sum(failing)])
-
-
-def chi(passing: list[int], everything: list[int]) -> F:
-    terms = []
-    for p, n in zip(passing, everything, strict=True):
-        first = F(sum(passing)) / F(sum(everything)) * F(n)
-        second = (F(sum(everything)) - F(sum(passing))) / F(sum(everything)) * F(n)
-        off = F(p) - first
-        terms.append(off * off / first + off * off / second if n else F(0))
-    return total(terms)
-
-
-SCORES = {"gain_ratio": ratio, "chi_squared": chi}
-
-
-def grown(
-    spec: ClassificationTrees, values: np.ndarray, counts: np.ndarray, least: float, kept: Any = None
-) -> list[tuple[Any, list[int], list[int]]]:
-    """Nodes of one tree: its test (input, value, whether ``<=``) or None, its children, its counts."""
-    nodes, rows = [], [list(range(len(values)))]
-    while len(nodes) < len(rows):
-        of_node = rows[len(nodes)]
-        everything = counts[of_node].sum(0).tolist()
-        best, chosen = F(-1), None
-        for f, size in enumerate(spec.sizes):
-            for value in range(size):
-                for is_range in (False, True)[: 1 + spec.ordered[f]]:
-                    if kept is not None and not kept[len(nodes)][f]:
-                        continue
-                    passing = [r for r in of_node if (values[r, f] <= value if is_range else values[r, f] == value)]
-                    sums = counts[passing].sum(0).tolist()
-                    if 0 < sum(sums) < sum(everything):
-                        score = SCORES[spec.score](sums, everything)
-                        if score > best:
-                            best, chosen = score, (f, value, is_range, passing)
-        if chosen and best >= F(least) and best > 0 and len(rows) + 2 <= spec.max_nodes:
-            nodes.append((chosen[:3], [len(rows), len(rows) + 1], everything))
-            rows += [chosen[3], [r for r in of_node if r not in chosen[3]]]
-        else:
-            nodes.append((None, [], everything))
-    return nodes
 
 
 def nodes_of(spec: ClassificationTrees, forest: Forest, tree: int, kind: int) -> list[tuple[Any, list[int], list[int]]]:
@@ -145,16 +78,11 @@ def test_trees_are_those_of_plain_python(score: Any, max_nodes: int):
         expected = grown(spec, values[rows], of_kind[rows], least)
         assert nodes_of(spec, forest, kind, kind) == expected
         assert len(expected) > 3 or max_nodes == 1
-        leaves = np.asarray(spec.leaves(forest, kind, jnp.asarray(spec.cells(values).reshape(60, 3))))
-        for row in range(60):
-            node = 0
-            while expected[node][0]:
-                f, value, is_range = expected[node][0]
-                passes = values[row, f] <= value if is_range else values[row, f] == value
-                node = expected[node][1][0 if passes else 1]
-            assert leaves[row] == kind * max_nodes + node
-        shares = [spec.probability(forest, jnp.asarray(leaves), c) for c in range(spec.num_classes[kind])]
-        np.testing.assert_allclose(np.sum(shares, 0), 1, rtol=1e-6)
+        reached = spec.leaves(forest, kind, jnp.asarray(spec.cells(values).reshape(60, 3)))
+        np.testing.assert_array_equal(reached, kind * max_nodes + leaves(expected, values))
+        shares = np.asarray(spec.shares(forest, ZERO)).reshape(-1, spec.most_classes)[kind * max_nodes :]
+        for share, (_, _, row) in zip(shares, expected, strict=False):
+            np.testing.assert_array_equal(share[: len(row)], np.array(row, F) * (F(1) / F(sum(row))))
 
 
 def test_nodes_leave_inputs_out_by_chance():
@@ -165,7 +93,7 @@ def test_nodes_leave_inputs_out_by_chance():
     trees = []
     for tree in range(3):
         number = jnp.arange(255, dtype=jnp.uint32) + np.uint32(tree * 255)
-        drawn = np.stack(jax.vmap(lambda i: jnp.stack(words(key, i, 3)))(number))
+        drawn = np.asarray(jax.vmap(lambda i: jnp.stack(words(key, i, 3)))(number))
         trees.append(nodes_of(spec, forest, tree, 0))
         assert trees[-1] == grown(spec, values, counts, 1e-4, drawn >= 2**23)
     assert trees[0] != trees[1]
@@ -175,7 +103,7 @@ def test_a_tree_without_rows_is_a_leaf_without_counts():
     spec = ClassificationTrees((2,), (True,), (2,))
     forest = fitted(spec, data_of(spec, np.array([[0], [1]]), np.zeros((2, 2), int), []), 1e-4)
     assert nodes_of(spec, forest, 0, 0) == [(None, [], [0, 0])]
-    assert spec.probability(forest, jnp.zeros(1, jnp.int32), 0) == 0
+    assert not spec.shares(forest, ZERO).any()
 
 
 def test_trees_of_vmap_are_the_same():
@@ -202,7 +130,7 @@ def test_scores_are_those_of_their_definitions(table: list[tuple[int, int]]):
     counts = [np.r_[a, unused] for a in (passing, everything)]
     arguments = [jnp.asarray(a, jnp.int32) for a in (*counts, passing.sum(), everything.sum())]
     used = np.array([passing, failing])[:, everything > 0]
-    expected = chi2_contingency(used, correction=False).statistic if used.shape[1] > 1 else 0
+    expected: Any = chi2_contingency(used, correction=False)[0] if used.shape[1] > 1 else 0
     assert float(jitted_chi(*arguments, ZERO)) == pytest.approx(expected, abs=1e-4, rel=1e-4)
 
     def bits(counts: np.ndarray) -> float:

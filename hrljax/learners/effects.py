@@ -1,0 +1,256 @@
+"""A factored model of an environment: what each variable, the reward and the end of an episode become of a step.
+
+Each is predicted by classification trees of its own over the variables and the action. What variables become is taken
+to be independent of each other, given state and action (a dynamic Bayesian network without arcs between its results).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from hrljax.core.numerics import exact_product, put_row, take, take_row
+from hrljax.envs.factored import FactoredStates
+from hrljax.learners.base import Transition
+from hrljax.trees.classification import ClassificationTrees, Forest, Score, share_of
+from hrljax.trees.scores import gather
+
+Effects: TypeAlias = Literal["relative", "absolute"]
+_MOST_VALUES = 4
+"""What a variable can become of one step, at most: the likeliest are kept."""
+
+
+class Rewards(NamedTuple):
+    """The different rewards seen."""
+
+    values: Array  # [R] float32, in the order in which they were first seen
+    number: Array  # int32: how many there are
+
+
+class Outcomes(NamedTuple):
+    """What the model predicts of P = S * A pairs ``state * A + action``: M next states each, with their weights."""
+
+    reward: Array  # [P] float32: mean
+    follows: Array  # [P] float32: probability that the episode goes on, divided by the sum of the weights
+    next_state: Array  # [M * P] int32
+    weight: Array  # [M * P] float32
+    most: Array  # int32: of how many next states any pair has
+
+
+@dataclass(frozen=True, eq=False)
+class FactoredModel:
+    """Which trees there are, and what their classes mean. V trees of variables, one of rewards, one of ends.
+
+    Attributes:
+        states: the values of V variables in every state.
+        num_actions: A.
+        effects: whether a tree of a variable predicts its ``"relative"`` change, or its ``"absolute"`` next value.
+        num_rewards: R, different rewards that are told apart.
+        num_outcomes: M, next states of a pair that are kept.
+        score, max_nodes, num_trees: as of `ClassificationTrees`.
+    """
+
+    states: FactoredStates
+    num_actions: int
+    effects: Effects
+    num_rewards: int
+    num_outcomes: int
+    score: Score
+    max_nodes: int
+    num_trees: int
+
+    @property
+    def num_variables(self) -> int:
+        return len(self.states.sizes)
+
+    @property
+    def num_pairs(self) -> int:
+        return len(self.states.values) * self.num_actions
+
+    @cached_property
+    def trees(self) -> ClassificationTrees:
+        sizes = self.states.sizes
+        of_variables = tuple(2 * size - 1 if self.effects == "relative" else size for size in sizes)
+        return ClassificationTrees(
+            sizes=(*sizes, self.num_actions),
+            ordered=(*(size > 2 for size in sizes), False),
+            num_classes=(*of_variables, self.num_rewards, 2),
+            score=self.score,
+            max_nodes=self.max_nodes,
+            num_trees=self.num_trees,
+        )
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """``[P * F]`` int32: the inputs of every pair, as of `ClassificationTrees.cells`."""
+        values = np.repeat(self.states.values, self.num_actions, 0)
+        actions = np.tile(np.arange(self.num_actions), len(self.states.values))
+        return self.trees.cells(np.concatenate([values, actions[:, None]], 1))
+
+    def no_counts(self) -> Array:
+        """``[P * W + C]`` int32: counts of no steps, as of `hrljax.trees.classification.Data`."""
+        return jnp.zeros(self.num_pairs * self.trees.width + self.trees.most_classes, jnp.int32)
+
+    def seen_before(self, counts: Array, pair: Array) -> Array:
+        """How often the action of a pair (int32, any shape) was taken: each time the episode ended or went on."""
+        place = pair * np.int32(self.trees.width) + np.int32(self.trees.first_class[-1])
+        return gather(counts, place) + gather(counts, place + 1)
+
+    def classes(self, transition: Transition, rewards: Rewards) -> tuple[list[Array], Rewards]:
+        """The class of each kind of tree (int32) that a step is one of, and the rewards with that of the step.
+
+        A reward beyond the first R different ones counts as the nearest of these.
+        """
+        size = self.num_variables
+        table = jnp.asarray(self.states.values.ravel())
+        before, after = (take_row(table, s * np.int32(size), size) for s in (transition.state, transition.next_state))
+        is_relative = self.effects == "relative"
+        of_variables = [
+            after[v] - before[v] + np.int32(n - 1) if is_relative else after[v] for v, n in enumerate(self.states.sizes)
+        ]
+        numbers = np.arange(self.num_rewards, dtype=np.int32)
+        off = jnp.where(numbers < rewards.number, jnp.abs(rewards.values - transition.reward), np.float32(np.inf))
+        is_new = (off.min() > 0) & (rewards.number < np.int32(self.num_rewards))
+        reward = lax.select(is_new, rewards.number, jnp.where(off == off.min(), numbers, np.int32(2**30)).min())
+        value = lax.select(is_new, transition.reward, take(rewards.values, reward))
+        rewards = Rewards(put_row(rewards.values, reward, value[None]), rewards.number + is_new.astype(jnp.int32))
+        return [*of_variables, reward, transition.terminated.astype(jnp.int32)], rewards
+
+    def counted(self, counts: Array, pair: Array, classes: list[Array], terminated: Array, learns: Array) -> Array:
+        """The counts with one more step, if `learns`. Of a step that ends the episode no next state is learned."""
+        width = self.trees.width
+        row = take_row(counts, pair * np.int32(width), width)
+        places = np.arange(width, dtype=np.int32)
+        for kind, (first, which) in enumerate(zip(self.trees.first_class, classes, strict=True)):
+            is_learned = learns & ~terminated if kind < self.num_variables else learns
+            row = row + ((places == which + np.int32(first)) & is_learned).astype(jnp.int32)
+        return put_row(counts, pair * np.int32(width), row)
+
+    def least_probability(
+        self, forest: Forest, pair: Array, classes: list[Array], terminated: Array, zero: Array
+    ) -> Array:
+        """The probability (float32) that trees gave to what happened: of the kind that gave it the least."""
+        inputs = len(self.trees.sizes)
+        cells = take_row(jnp.asarray(self.cells), pair * np.int32(inputs), inputs)[None]
+        size, of_step = self.trees.most_classes, jnp.stack(classes)
+
+        def of_kind(kind: Array, least: Array) -> Array:
+            def of_tree(number: Array, total: Array) -> Array:
+                leaf = self.trees.leaves(forest, self.trees.tree(kind, number), cells)[0]
+                row = take_row(forest.counts, leaf * np.int32(size), size)
+                return total + share_of(take(row, take(of_step, kind)), row.sum(dtype=jnp.int32), zero)
+
+            total = lax.fori_loop(jnp.int32(0), jnp.int32(self.num_trees), of_tree, jnp.float32(0))
+            plays_no_part = terminated & (kind < np.int32(self.num_variables))
+            return lax.select(plays_no_part, least, lax.min(least, total * np.float32(1 / self.num_trees)))
+
+        return lax.fori_loop(jnp.int32(0), jnp.int32(len(classes)), of_kind, jnp.float32(1))
+
+    def predicted(self, forest: Forest, rewards: Rewards, zero: Array) -> Outcomes:
+        """The outcomes of all pairs."""
+        probabilities = self._probabilities(forest, zero)
+        *of_variables, of_rewards, of_ends = probabilities
+        reward = jnp.zeros(self.num_pairs, jnp.float32)
+        for number in range(self.num_rewards):
+            reward = reward + exact_product(rewards.values[number], of_rewards[number], zero)
+        next_state, weight, total, most = self._combined(of_variables, zero)
+        return Outcomes(reward, of_ends[0] / lax.max(total, np.float32(1e-6)), next_state, weight, most)
+
+    def _probabilities(self, forest: Forest, zero: Array) -> list[Array]:
+        """For each kind of tree, ``[classes, P]`` float32: the mean of its trees."""
+        trees, shares, pairs = self.trees, self.trees.shares(forest, zero), np.int32(self.num_pairs)
+        cells = jnp.asarray(self.cells).reshape(self.num_pairs, -1)
+        count = trees.num_kinds * trees.num_trees
+
+        def of_tree(tree: Array, leaves: Array) -> Array:
+            return put_row(leaves, tree * pairs, trees.leaves(forest, tree, cells))
+
+        leaves = lax.fori_loop(jnp.int32(0), jnp.int32(count), of_tree, jnp.zeros(count * self.num_pairs, jnp.int32))
+        leaves = leaves.reshape(count, -1) * np.int32(trees.most_classes)
+
+        def of_kind(kind: int) -> Array:
+            classes = np.arange(trees.num_classes[kind], dtype=np.int32)[:, None]
+            total = jnp.zeros((len(classes), self.num_pairs), jnp.float32)
+            for number in range(trees.num_trees):
+                total = total + gather(shares, leaves[trees.tree(kind, number)][None] + classes)
+            return total * np.float32(1 / trees.num_trees)
+
+        return [of_kind(kind) for kind in range(trees.num_kinds)]
+
+    def _combined(self, probabilities: list[Array], zero: Array) -> tuple[Array, Array, Array, Array]:
+        """Next states and weights ``[M * P]``, the sum of the weights ``[P]``, and the most that any pair has.
+
+        The values of the first variable change fastest, each variable's likeliest first.
+        """
+        pairs, most = self.num_pairs, self.num_outcomes
+        variables, count = [], jnp.ones(pairs, jnp.int32)
+        for v, size in enumerate(self.states.sizes):
+            chances, classes, number = _likeliest(probabilities[v])
+            now = np.repeat(self.states.values[:, v], self.num_actions)
+            if self.effects == "relative":
+                classes = [jnp.clip(now + which - np.int32(size - 1), 0, size - 1) for which in classes]
+            variables.append((chances, classes, number))
+            count = lax.min(count * number, np.int32(most))
+        stays = np.repeat(np.arange(len(self.states.values), dtype=np.int32), self.num_actions)
+        numbers = jnp.asarray(self.states.number)
+
+        def one(m: Array, carry: tuple[list[Array], Array, Array, Array]) -> tuple[list[Array], Array, Array, Array]:
+            digits, next_state, weight, total = carry
+            values, chance = [], jnp.ones(pairs, jnp.float32)
+            for digit, (chances, classes, _) in zip(digits, variables, strict=True):
+                of_digit, value = chances[0], classes[0]
+                for i in range(1, len(chances)):
+                    of_digit = jnp.where(digit == i, chances[i], of_digit)
+                    value = jnp.where(digit == i, classes[i], value)
+                values.append(value)
+                chance = exact_product(chance, of_digit, zero)
+            chance = jnp.where(m < count, chance, np.float32(0))
+            state = gather(numbers, self.states.place(values))
+            next_state = put_row(next_state, m * np.int32(pairs), jnp.where(state < 0, stays, state))
+            weight = put_row(weight, m * np.int32(pairs), chance)
+            new, goes_on = [], jnp.ones(pairs, jnp.bool_)
+            for digit, (_, _, number) in zip(digits, variables, strict=True):
+                more = digit + goes_on.astype(jnp.int32)
+                goes_on = more == number
+                new.append(jnp.where(goes_on, np.int32(0), more))
+            return new, next_state, weight, total + chance
+
+        begin = (
+            [jnp.zeros(pairs, jnp.int32)] * self.num_variables,
+            jnp.zeros(most * pairs, jnp.int32),
+            jnp.zeros(most * pairs, jnp.float32),
+            jnp.zeros(pairs, jnp.float32),
+        )
+        _, next_state, weight, total = lax.fori_loop(jnp.int32(0), count.max(), one, begin)
+        return next_state, weight, total, count.max()
+
+
+def backed_up(outcomes: Outcomes, values: Array, discount: Array, zero: Array) -> Array:
+    """``Q(s, a) = r(s, a) + discount * P(goes on) * sum_m P(s'_m) V(s'_m)``, ``[P]``, of state values ``[S]``."""
+    pairs = len(outcomes.reward)
+
+    def add(m: Array, total: Array) -> Array:
+        first = m * np.int32(pairs)
+        after = gather(values, take_row(outcomes.next_state, first, pairs))
+        return total + exact_product(take_row(outcomes.weight, first, pairs), after, zero)
+
+    after = lax.fori_loop(jnp.int32(0), outcomes.most, add, jnp.zeros(pairs, jnp.float32))
+    after = exact_product(outcomes.follows, after, zero)
+    return outcomes.reward + exact_product(jnp.broadcast_to(discount, after.shape), after, zero)
+
+
+def _likeliest(probabilities: Array) -> tuple[list[Array], list[Array], Array]:
+    """Of ``[classes, P]`` the greatest, their classes, and how many (int32, at least 1) are not 0; ``[P]`` each."""
+    numbers = np.arange(len(probabilities), dtype=np.int32)[:, None]
+    chances, classes, count = [], [], jnp.zeros(probabilities.shape[1], jnp.int32)
+    for _ in range(min(_MOST_VALUES, len(numbers))):
+        best = probabilities.max(0)
+        which = jnp.where(probabilities == best[None], numbers, np.int32(len(numbers))).min(0)
+        chances.append(best)
+        classes.append(which)
+        count = count + (best > 0).astype(jnp.int32)
+        probabilities = jnp.where(numbers == which[None], np.float32(0), probabilities)
+    return chances, classes, lax.max(count, jnp.int32(1))
