@@ -15,8 +15,8 @@ from jax import Array, lax
 from hrljax.core.numerics import exact_product, put_row, take, take_row
 from hrljax.envs.factored import FactoredStates
 from hrljax.learners.base import Transition
-from hrljax.trees.classification import ClassificationTrees, Forest, Score, share_of
-from hrljax.trees.scores import gather
+from hrljax.trees.classification import ClassificationTrees, Forest, Score
+from hrljax.trees.scores import gather, share_of
 
 Effects: TypeAlias = Literal["relative", "absolute"]
 _MOST_VALUES = 4
@@ -228,7 +228,7 @@ class FactoredModel:
         return next_state, weight, total, count.max()
 
 
-def backed_up(outcomes: Outcomes, values: Array, discount: Array, zero: Array) -> Array:
+def backed_up(outcomes: Outcomes, values: Array, discount: Array | np.float32, zero: Array) -> Array:
     """``Q(s, a) = r(s, a) + discount * P(goes on) * sum_m P(s'_m) V(s'_m)``, ``[P]``, of state values ``[S]``."""
     pairs = len(outcomes.reward)
 
@@ -239,7 +239,8 @@ def backed_up(outcomes: Outcomes, values: Array, discount: Array, zero: Array) -
 
     after = lax.fori_loop(jnp.int32(0), outcomes.most, add, jnp.zeros(pairs, jnp.float32))
     after = exact_product(outcomes.follows, after, zero)
-    return outcomes.reward + exact_product(jnp.broadcast_to(discount, after.shape), after, zero)
+    # A discount that is known to be 1 must be no factor: then the compiler sees two products with nothing in between.
+    return outcomes.reward + exact_product(discount, after, zero)
 
 
 def _likeliest(probabilities: Array) -> tuple[list[Array], list[Array], Array]:

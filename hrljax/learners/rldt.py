@@ -15,7 +15,7 @@ from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.effects import Effects, FactoredModel, Rewards, backed_up
 from hrljax.learners.flat import EpsilonGreedyLearner, row_of
-from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.planning import settled
 from hrljax.trees.classification import Chance, Data, Forest, Score
 
@@ -195,7 +195,8 @@ class RLDT(EpsilonGreedyLearner[FactoredModel]):
         forest = model.trees.fit(data, jnp.asarray(self.least_score, jnp.float32), context.zero, chance)
         outcomes = model.predicted(forest, tables.rewards, context.zero)
         least, optimistic = (jnp.asarray(v, jnp.float32) for v in (self.least_value, self.optimistic_value))
-        discount, tolerance = (jnp.asarray(v, jnp.float32) for v in (self.discount, self.planning_tolerance))
+        tolerance = jnp.asarray(self.planning_tolerance, jnp.float32)
+        discount = at_episode(self.discount, context.episode)
 
         def sweep(values: Array) -> Array:
             of_states = values.reshape(-1, model.num_actions).max(-1)

@@ -18,10 +18,10 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import checks
-from hrljax.core.numerics import exact_product, put_row, take, take_row
+from hrljax.core.numerics import put_row, take, take_row
 from hrljax.core.random import threshold, words
 from hrljax.trees.partition import CHUNK, parted
-from hrljax.trees.scores import chi_squared, gain_ratio, gather
+from hrljax.trees.scores import chi_squared, gain_ratio, gather, share_of
 
 Score: TypeAlias = Literal["gain_ratio", "chi_squared"]
 LEAF = -1
@@ -314,9 +314,3 @@ class ClassificationTrees:
         """
         counts = forest.counts.reshape(-1, self.most_classes)
         return share_of(counts, counts.sum(1, dtype=jnp.int32)[:, None], zero).reshape(-1)
-
-
-def share_of(count: Array, rows: Array, zero: Array) -> Array:
-    """``count / rows`` of whole numbers, 0 of no rows: times the reciprocal, as which XLA computes some divisions."""
-    reciprocal = np.float32(1) / lax.max(rows, jnp.int32(1)).astype(jnp.float32)
-    return exact_product(count.astype(jnp.float32), reciprocal, zero)

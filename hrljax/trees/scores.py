@@ -18,6 +18,12 @@ def gather(table: Array, index: Array) -> Array:
     return table.at[index].get(mode="promise_in_bounds")
 
 
+def share_of(count: Array, rows: Array, zero: Array) -> Array:
+    """``count / rows`` of whole numbers, 0 of no rows: times the reciprocal, as which XLA computes some divisions."""
+    reciprocal = np.float32(1) / lax.max(rows, jnp.int32(1)).astype(jnp.float32)
+    return exact_product(count.astype(jnp.float32), reciprocal, zero)
+
+
 def gain_ratio(passing: Array, total: Array, n_1: Array, n: Array, zero: Array) -> Array:
     """Information that a test gives of the class, for each bit of its own (Quinlan 1993).
 
@@ -46,7 +52,7 @@ def chi_squared(passing: Array, total: Array, n_1: Array, n: Array, zero: Array)
     """
 
     def expected(rows: Array) -> Array:
-        share = rows.astype(jnp.float32) / n.astype(jnp.float32)
+        share = share_of(rows, n, zero)
         return exact_product(jnp.broadcast_to(share, total.shape), total.astype(jnp.float32), zero)
 
     of_passing = expected(n_1)

@@ -200,16 +200,19 @@ def drawn(key: Any, numbers: jax.Array, count: int) -> jax.Array:
             planning_tolerance=0.5,
             max_nodes=41,
         ),
-        SPITI(
-            epsilon=0.75,
-            least_value=-50.0,
-            least_score=3.0,
-            refit_interval=300,
-            num_trees=2,
-            left_out=0.25,
-            max_rewards=1,
-            max_outcomes=5,
-            max_nodes=21,
+        pytest.param(
+            SPITI(
+                epsilon=0.75,
+                least_value=-50.0,
+                least_score=3.0,
+                refit_interval=300,
+                num_trees=2,
+                left_out=0.25,
+                max_rewards=1,
+                max_outcomes=5,
+                max_nodes=21,
+            ),
+            marks=pytest.mark.slow,
         ),
     ],
     ids=str,
@@ -227,6 +230,7 @@ def test_a_seed_has_one_result_under_every_mapping():
     assert_same_under_every_mapping(learner, {"least_score": [1e-4, 0.2]})
 
 
+@pytest.mark.slow
 def test_a_forest_has_one_result_under_every_mapping():
     learner = SPITI(epsilon=0.75, num_trees=2, refit_interval=40, max_nodes=31, least_value=-50.0)
     assert_same_under_every_mapping(learner, {"left_out": [0.0, 0.5]})

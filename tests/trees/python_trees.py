@@ -42,8 +42,9 @@ def gain_ratio(passing: list[int], everything: list[int]) -> F:
 def chi_squared(passing: list[int], everything: list[int]) -> F:
     terms = []
     for p, n in zip(passing, everything, strict=True):
-        first = F(sum(passing)) / F(sum(everything)) * F(n)
-        second = (F(sum(everything)) - F(sum(passing))) / F(sum(everything)) * F(n)
+        one_nth = F(1) / F(sum(everything))
+        first = F(sum(passing)) * one_nth * F(n)
+        second = (F(sum(everything)) - F(sum(passing))) * one_nth * F(n)
         off = F(p) - first
         terms.append(off * off / first + off * off / second if n else F(0))
     return total(terms)
