@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core import choices
+from hrljax.core.choices import Ties
 from hrljax.core.flags import choose
 from hrljax.core.lockstep import once_if
 from hrljax.core.numerics import put_row, take
@@ -51,7 +52,7 @@ class RLDT(EpsilonGreedyLearner[FactoredModel]):
 
     Attributes:
         epsilon: probability of a uniformly random action, or a schedule of the episode; RL-DT itself explores until
-            it is satisfied. Else it takes the best one, of equally good ones the first.
+            it is satisfied. Else it takes the best one.
         discount: in [0, 1].
         optimistic_value: of pairs that are not known, where it explores.
         satisfying_value: it explores where the model promises less (in the paper: as long as the rewards in reach are
@@ -73,6 +74,7 @@ class RLDT(EpsilonGreedyLearner[FactoredModel]):
         max_outcomes: next states of a pair that are planned with, at least 1. The combinations of values that the
             variables can get are used in their order, of each variable the four likeliest.
         max_rewards: different rewards that are told apart, at least 1. Others count as the nearest of them.
+        ties: as of `QLearning`.
     """
 
     epsilon: Hyperparameter = hyperparameter(0.0, 0, 1, schedule=True)
@@ -94,6 +96,7 @@ class RLDT(EpsilonGreedyLearner[FactoredModel]):
     max_nodes: int = 255
     max_outcomes: int = 16
     max_rewards: int = 8
+    ties: Ties = "first"
 
     name = "RL-DT"
     has_loops = True
