@@ -9,6 +9,7 @@ from hrljax import stats
 from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
+from hrljax.stats.settings import settings
 
 Curves = xr.Dataset | xr.DataArray
 
@@ -54,7 +55,7 @@ def learning_curves(
         if window is not None:
             begun = values[along] >= min(window, int(values[along][-1]) / 2)
             values = stats.smoothed(values, window).where(begun, drop=True)
-        for curve, setting in style.settings(values, "seed", along):
+        for curve, setting in settings(values, "seed", along):
             middle, low, high = style.interval(curve, statistic)
             line = next(lines)
             described = " ".join(part for part in (name, setting) if part)

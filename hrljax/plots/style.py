@@ -53,21 +53,6 @@ def label(values: xr.DataArray) -> str:
     return f"{text} ({units})" if units else text
 
 
-def along_points(values: xr.DataArray) -> list[str]:
-    """Hyper-parameters that the values have along the dimension of points, if there is one."""
-    return [str(name) for name, coord in values.coords.items() if coord.dims == ("point",) and name != "point"]
-
-
-def settings(values: xr.DataArray, *rest: Hashable) -> Iterator[tuple[xr.DataArray, str]]:
-    """The values of every combination of hyper-parameters, which are all dimensions but the rest, and its name."""
-    swept = [dim for dim in values.dims if dim not in rest]
-    for chosen in itertools.product(*(values[dim].values for dim in swept)):
-        at = dict(zip(swept, chosen, strict=True))
-        one = values.sel(at)
-        names = [name for dim in swept for name in (dim != "point" and [dim]) or along_points(values) or [dim]]
-        yield one, ", ".join(f"{name}={float(one[name]):g}" for name in names)
-
-
 def finished(values: xr.DataArray, *along: Hashable) -> str:
     """How many seeds are in a picture; with further dimensions, those without a gap in them."""
     finite = values.notnull()

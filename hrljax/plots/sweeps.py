@@ -16,6 +16,7 @@ from hrljax import stats
 from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
+from hrljax.stats.settings import along_points
 
 _WINNER = "#D55E00"
 """The colour of what is around the best."""
@@ -64,7 +65,7 @@ def heat_map(
     if isinstance(values, xr.Dataset):
         title = title or f"{values.attrs['learner']} on {values.attrs['environment']}"
         values = stats.episode_range(values["return"], 0, int(values["episode"][-1]))
-    is_of_points = isinstance(values, xr.DataArray) and {x, y} <= set(style.along_points(values))
+    is_of_points = isinstance(values, xr.DataArray) and {x, y} <= set(along_points(values))
     dims = ("point",) if is_of_points else (y, x)
     style.check_seeds(values, "values", *dims)
     checks.choice("best", best, ("greatest", "least", None))
@@ -167,7 +168,7 @@ def sensitivity(
         what = repr(name) if name else "values"
         checks.instance(what, array, xr.DataArray, "a DataArray such as curves['return'].mean('episode')")
         more = (lines,) if lines is not None and (lines in array.dims or len(named) == 1) else ()
-        style.check_seeds(array, what, "point" if x in style.along_points(array) else x, *more)
+        style.check_seeds(array, what, "point" if x in along_points(array) else x, *more)
     ax = style.axes(ax)
     styles, markers = style.lines(), style.markers()
     for name, array in named.items():

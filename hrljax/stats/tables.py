@@ -11,6 +11,7 @@ from hrljax.core import checks
 from hrljax.stats.arguments import check_level, check_values
 from hrljax.stats.intervals import bootstrap_interval, mean_interval
 from hrljax.stats.resampling import Statistic
+from hrljax.stats.settings import settings
 
 Best: TypeAlias = Literal["greatest", "least"] | None
 _SPECIAL = re.compile(r"[&%$#_{}]")
@@ -135,8 +136,8 @@ def _columns(
     if len(more) > 1:
         named = ", ".join(map(str, more))
         raise ValueError(f"values: {name!r} must have one dimension besides 'seed' at most, got {named}")
-    for value in of_row[more[0]].values:
-        yield f"{more[0]}={value:g}", of_row.sel({more[0]: value})
+    for runs, setting in settings(of_row, "seed"):
+        yield setting, runs
 
 
 def _check_runs(what: str, runs: xr.DataArray) -> None:

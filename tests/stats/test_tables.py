@@ -55,6 +55,13 @@ def test_columns_may_be_values_of_a_dimension():
     assert table.rows["Q-learning"][1][1:3] == (low, high)
 
 
+def test_columns_of_points_have_the_names_of_their_hyper_parameters():
+    points = xr.concat([ONE, TWO], "point").assign_coords(
+        step_size=("point", [0.1, 0.5]), epsilon=("point", [0.2, 0.1])
+    )
+    assert stats.table({"MAXQ": points}).columns == ("step_size=0.1, epsilon=0.2", "step_size=0.5, epsilon=0.1")
+
+
 def test_what_is_missing_or_infinite_has_no_interval_and_wins_nothing():
     table = stats.table({"a | b": runs(np.nan, np.nan), "c": runs(np.inf, np.inf), "d": runs(3.0)}, best="least")
     assert table.markdown().splitlines()[2:] == [r"| a \| b | nan |", "| c | inf |", "| d | **3.00** |"]
