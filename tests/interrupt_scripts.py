@@ -26,6 +26,7 @@ SCRIPTS = {
     "advice_quality.py": [],
     "figure_4_2.py": ["--seeds", "50", "--episodes", "4000"],
     "learning_rates.py": ["--seeds", "100"],
+    "neighbours.py": [],
     "optimality.py": ["--seeds", "50"],
     "table_4_1.py": ["--seeds", "4", "--episodes", "50"],
     "mario_search.py": [],
