@@ -32,7 +32,7 @@ class HAMQ(StackLearner[ChoiceValue]):
     Attributes:
         hierarchy: the task hierarchy, of any depth.
         root: None lets the root learn; or a root that does not, `RandomRoot`.
-        step_size, epsilon, discount: as of `HORDQ`.
+        step_size, epsilon, discount, ties: as of `HORDQ`.
         initial_value: of every choice.
     """
 

@@ -73,7 +73,7 @@ class SharedHORDQ(PseudoRewarded[SharedQ]):
         hierarchy: of any depth, with a total leaf cover: every subtask with a primitive child can execute every
             primitive action in all states in which it is active (`hrljax.total_leaf_cover` completes one).
         root: as of `HORDQ`.
-        step_size, epsilon, discount: as of `HORDQ`.
+        step_size, epsilon, discount, ties: as of `HORDQ`.
         initial_value: of Q.
         pseudo_reward: kappa; a number, a schedule of the episode or `Fading`.
         bootstrap: of Q; ``"greedy"`` on the best action, ``"on_policy"`` on the action that is taken next.

@@ -46,7 +46,7 @@ class HDyna(OptionQ):
     `discount` as a schedule, models keep the discount of when they were learned.
 
     Attributes:
-        options, update, step_size, epsilon, discount, initial_value: as those of `hrljax.OptionQ`.
+        options, update, step_size, epsilon, discount, initial_value, ties: as those of `hrljax.OptionQ`.
         planning_steps: backups after every real step, at least 0; 0 gives `hrljax.OptionQ` bit for bit.
         models: ``"all"``, or ``"abstract"``: without those of primitive actions.
     """
