@@ -79,7 +79,8 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
         pseudo_reward: bonus for the suggested action when choosing; a number, a schedule of the episode or
             `hrljax.Fading`, by how often the least known of the concepts that hold has occurred.
         step_size: in (0, 1], or a schedule; for every concept that holds.
-        epsilon: probability of a random action, or a schedule. Else it takes the best one, of equally good ones the first.
+        epsilon: probability of a random action, or a schedule. Else it takes the best one, of equally good ones
+            the first.
         discount: in [0, 1].
         trace_decay: lambda of accumulating traces, in [0, 1]; needs a `trace_length`.
         trace_length: steps that traces reach back, 0 for none (static).
