@@ -65,6 +65,6 @@ def test_another_environment_and_bad_numbers_are_refused():
         PLANNER.prepare(hrl.make("Bus"))
     with pytest.raises(ValueError, match="depth must be an integer from 1 to"):
         MarioAStar(depth=0)
-    with pytest.raises(ValueError, match="weight must be a number in"):
+    with pytest.raises(ValueError, match="MarioAStar: weight must be a finite number in"):
         MarioAStar(weight=-1.0)
     assert int(PLANNER.action(jnp.int32(3))) == 3
