@@ -108,6 +108,15 @@ def sdyna() -> Figure:
     return curves(hrl.make("Maze"), learners, 60, window=3, lowest=-60, title="Maze", seeds=20)
 
 
+def kwik() -> Figure:
+    learners = {
+        "KWIK-R-MAX": hrl.KWIKRMax(optimistic_value=20.0),
+        "R-MAX": hrl.RMax(optimistic_value=20.0, known_after=5),
+    }
+    env = hrl.make("Taxi", stochastic=True)
+    return curves(env, learners, 200, window=5, lowest=-400, title="Stochastic Taxi", seeds=10)
+
+
 def options() -> Figure:
     env = hrl.make("Gridworld")
     ways = hrl.options_from(env.hierarchy(), env)
@@ -247,6 +256,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         r_max,
         rl_dt,
         sdyna,
+        kwik,
         options,
         discovered_options,
         h_dyna,

@@ -28,6 +28,7 @@ from hrljax.learners.feudal import FeudalQ  # noqa: E402
 from hrljax.learners.flat import SARSA, QLearning  # noqa: E402
 from hrljax.learners.hamq import HAMQ  # noqa: E402
 from hrljax.learners.hordq import HORDQ, MAXQ, MAXQ0  # noqa: E402
+from hrljax.learners.kwik import KWIKRMax  # noqa: E402
 from hrljax.learners.linear_dyna import LinearDyna  # noqa: E402
 from hrljax.learners.mario.a_star import MarioAStar  # noqa: E402
 from hrljax.learners.options.definition import Options, options_from, primitive_options  # noqa: E402
@@ -81,6 +82,7 @@ __all__ = [
     "FeudalQ",
     "HDyna",
     "Hierarchy",
+    "KWIKRMax",
     "Learned",
     "LinearDyna",
     "LinearRoot",
