@@ -49,13 +49,13 @@ def planned_rows(
     """A* on levels of every type and difficulty: a row for each, and the processor time of a step."""
     played = LevelSet(level_types, difficulties, each, PLAYED_FROM, actions="all")
     player = LevelPlayer(played.environment, planner, cores)
-    nothing = player.untrained()
-    player.play(nothing, [0])  # compiles
+    untrained = player.untrained()
+    player.play(untrained, [0])  # compiles
     for level_type in level_types:
         for difficulty in difficulties:
             numbers = [i for i, kind in enumerate(played.table) if kind[:2] == (level_type, difficulty)]
             begun = time.process_time()
-            games = player.play(nothing, numbers)
+            games = player.play(untrained, numbers)
             seconds = time.process_time() - begun
             lost = [played.table[number] for number, win in zip(numbers, games["win"], strict=True) if not win]
             yield {
