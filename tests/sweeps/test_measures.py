@@ -19,11 +19,7 @@ LEARNERS = {
 }
 
 
-def swept(learner: Any, **options: Any) -> xr.Dataset:
-    return hrl.sweep(SMALL, learner, **{**OPTIONS, **options})
-
-
-@pytest.mark.parametrize(
+in_every_loop = pytest.mark.parametrize(
     ("name", "mapping"),
     [
         ("flat", "native"),
@@ -32,6 +28,13 @@ def swept(learner: Any, **options: Any) -> xr.Dataset:
         pytest.param("hierarchy", "vmap", marks=pytest.mark.slow),
     ],
 )
+
+
+def swept(learner: Any, **options: Any) -> xr.Dataset:
+    return hrl.sweep(SMALL, learner, **{**OPTIONS, **options})
+
+
+@in_every_loop
 def test_measures_are_further_variables_and_change_nothing(name: str, mapping: Any):
     plain = swept(LEARNERS[name], mapping=mapping)
     measured = swept(LEARNERS[name], mapping=mapping, measures=MEASURES)
@@ -69,15 +72,7 @@ def steps_at_ends(curves: xr.Dataset) -> xr.DataArray:
     return (curves["length"] * 4).cumsum("episode")
 
 
-@pytest.mark.parametrize(
-    ("name", "mapping"),
-    [
-        ("flat", "native"),
-        ("flat", "vmap"),
-        ("hierarchy", "native"),
-        pytest.param("hierarchy", "vmap", marks=pytest.mark.slow),
-    ],
-)
+@in_every_loop
 def test_a_run_ends_after_the_bin_in_which_it_has_taken_so_many_steps(name: str, mapping: Any):
     whole = swept(LEARNERS[name], mapping=mapping)
     ends = steps_at_ends(whole)
