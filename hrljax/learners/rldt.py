@@ -54,7 +54,8 @@ class RLDT(EpsilonGreedyLearner[FactoredModel]):
         epsilon: probability of a uniformly random action, or a schedule of the episode; RL-DT itself explores until
             it is satisfied. Else it takes the best one.
         discount: in [0, 1].
-        optimistic_value: of pairs that are not known, where it explores.
+        optimistic_value: at least what any policy can earn: of pairs that are not known, where it explores. No value of
+            the model is greater, though trees may believe in a reward that comes again and again.
         satisfying_value: it explores where the model promises less (in the paper: as long as the rewards in reach are
             less than 40 % of the greatest). Of a model of which no end is known it is `least_value`.
         least_value: no value of the model is less, and all are so at first.
@@ -203,7 +204,7 @@ class RLDT(EpsilonGreedyLearner[FactoredModel]):
 
         def sweep(values: Array) -> Array:
             of_states = values.reshape(-1, model.num_actions).max(-1)
-            return lax.max(backed_up(outcomes, of_states, discount, context.zero), least)
+            return lax.clamp(least, backed_up(outcomes, of_states, discount, context.zero), optimistic)
 
         tables = tables._replace(
             forest=forest,
@@ -244,7 +245,8 @@ class SPITI(RLDT):
     which gives the trees of an incremental method, and a few sweeps go on from the values that were. SPITI sweeps over
     the leaves of trees, here over states: the same values, at a cost that grows with the states.
 
-    Attributes: as of `RLDT`.
+    Attributes: as of `RLDT`. As long as trees know of no way to earn more, all actions are equally good, and only
+    `ties` that are broken at random find one.
     """
 
     epsilon: Hyperparameter = hyperparameter(0.1, 0, 1, schedule=True)
@@ -255,5 +257,6 @@ class SPITI(RLDT):
     explores: bool = False
     refit_interval: int = 10
     planning_sweeps: int = 10
+    ties: Ties = "random"
 
     name = "SPITI"

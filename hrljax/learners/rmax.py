@@ -14,7 +14,7 @@ from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.learners import samples as model
 from hrljax.learners.base import Context, LearnerState, Transition, Words
 from hrljax.learners.flat import ActionValueLearner, row_of
-from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter, later_option
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option
 from hrljax.learners.planning import settled
 
 
@@ -95,13 +95,14 @@ class RMax(ActionValueLearner):
         after = tables.samples.after.reshape(-1, num_pairs)
         share = np.float32(1 / self.known_after)
         reward = context.product(share, _sum(list(tables.samples.reward.reshape(-1, num_pairs))))
-        discount = jnp.asarray(self.discount, jnp.float32)
+        # A discount that is known to be 1 must be no factor: the compiler would see two products and nothing between.
+        discount = at_episode(self.discount, context.episode)
 
         def sweep(values: Array) -> Array:
             at_states = jnp.concatenate([values.reshape(-1, prepared).max(-1), jnp.zeros(1, jnp.float32)])
             follows = [at_states.at[states].get(mode="promise_in_bounds") for states in after]
             mean = context.product(share, _sum(follows))
-            backed_up = reward + context.product(jnp.broadcast_to(discount, mean.shape), mean)
+            backed_up = reward + context.product(discount, mean)
             return lax.select(known, backed_up, jnp.broadcast_to(self._optimistic(), backed_up.shape))
 
         tolerance = jnp.asarray(self.planning_tolerance, jnp.float32)

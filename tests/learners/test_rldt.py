@@ -148,7 +148,7 @@ class Planner:
             for m in range(width):
                 after += weights[:, m] * value[states[:, m]]
             q = reward + F(self.learner.discount) * (follows * after)
-            return np.maximum(q, F(self.learner.least_value))
+            return np.clip(q, F(self.learner.least_value), F(self.learner.optimistic_value))
 
         return backed_up
 
@@ -202,6 +202,7 @@ def drawn(key: Any, numbers: jax.Array, count: int) -> jax.Array:
         ),
         pytest.param(
             SPITI(
+                ties="first",
                 epsilon=0.75,
                 least_value=-50.0,
                 least_score=3.0,
@@ -296,6 +297,24 @@ def test_rewards_beyond_the_last_place_count_as_the_nearest():
     first = model.trees.first_class[2]
     assert rewards.values.tolist() == [-1, 5]
     assert counts[1 * model.trees.width + first :][:2].tolist() == [3, 2]
+
+
+def test_no_value_is_greater_than_what_any_policy_can_earn():
+    """Of a corridor in which every step earns 1, so that trees believe in going to and fro for ever."""
+    options = {"num_episodes": 2, "params": CORRIDOR.default_params._replace(step_reward=1.0, max_steps=30)}
+    learner = RLDT(optimistic_value=7.0, least_value=-10.0, max_nodes=15)
+    learned = jax.jit(lambda key: hrljax.train(CORRIDOR, learner, key, **options))(jax.random.key(0)).learned
+    assert float(learned.values.max()) == 7.0
+
+
+@pytest.mark.slow
+def test_spiti_finds_a_passenger_that_chance_alone_delivers():
+    """On the Taxi, where trees expect of untried actions what tried ones do."""
+    env = hrljax.make("Taxi")
+    options = {"seeds": 2, "num_episodes": 150, "bin_size": 50, "evaluate_every": 1, "progress": False}
+    curves = hrljax.sweep(env, SPITI(optimistic_value=20.0), **options)
+    optimum = env.initial_distribution() @ hrljax.solvers.value_iteration(env.model()).value
+    np.testing.assert_allclose(curves["greedy_return"].max("checkpoint"), optimum, atol=1e-3)
 
 
 def test_the_optimum_is_reached_in_a_few_episodes():

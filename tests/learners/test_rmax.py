@@ -62,6 +62,7 @@ class OptimisticModel:
     "learner",
     [
         RMax(discount=0.97, planning_tolerance=0.03125, known_after=3, planning_sweeps=3),
+        RMax(planning_tolerance=0.5, known_after=3, planning_sweeps=5),
         RMax(epsilon=0.125, optimistic_value=10.0, planning_tolerance=0.5, known_after=1, planning_sweeps=5),
     ],
     ids=str,
