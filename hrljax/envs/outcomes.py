@@ -213,12 +213,13 @@ class OutcomeTable:
         """Where the entries begin that hold for an environment's words (int32 of their shape)."""
         return self._kinds.number(words) * np.int32(self._num_pairs)
 
-    def _read(self, index: Array) -> Array:
+    def _read(self, place: Array, state: Array, action: Array) -> Array:
+        index = place + state * np.int32(self._num_actions) + action
         return take(jnp.asarray(self.entries), index & np.int32(len(self.entries) - 1)).astype(jnp.int32)
 
     def look_up(self, place: Array, state: Array, action: Array) -> tuple[Array, Array, Array]:
         """Next state (int32), reward (float32), and flags as in `Outcomes`, of scalars."""
-        entry = self._entry(place + state * np.int32(self._num_actions) + action)
+        entry = self._entry(place, state, action)
         flags, rest = entry & ((1 << self._flag_bits) - 1), entry >> self._flag_bits
         reward = take(jnp.asarray(self.rewards), rest & ((1 << self._reward_bits) - 1))
         return rest >> self._reward_bits, reward, flags
