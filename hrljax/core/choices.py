@@ -1,33 +1,47 @@
 """Choosing among a few scalars: the greatest, the one at an index, a random one."""
 
-from typing import Literal, TypeAlias
+from collections.abc import Sequence
+from typing import Literal, TypeAlias, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from hrljax.core.flags import choose
 from hrljax.core.random import threshold
+
+T = TypeVar("T")
 
 Ties: TypeAlias = Literal["first", "random"]
 """Which of equally good ones is taken: the first, or any, each as likely as the others."""
 
 
 def greedy(values: list[Array]) -> tuple[Array, Array]:
-    """Index (int32) and value of the greatest of a few scalars; ties go to the first.
+    """Index (int32) and value of the greatest of a few scalars; ties go to the first."""
+    index, (value,) = greedy_of(values, [(value,) for value in values])
+    return index, value
 
-    A tournament on bits: selects would become branches, which a learning agent makes unpredictable.
+
+def greedy_of(values: list[Array], of_each: Sequence[T]) -> tuple[Array, T]:
+    """Index (int32) of the greatest of a few scalars, and what belongs to it, a pytree of scalars; ties go to the first.
+
+    A tournament: its rounds are fewer than values, and the index goes by bits, because selects of it would become
+    branches, which a learning agent makes unpredictable.
     """
-    players = [(jnp.int32(i), value) for i, value in enumerate(values)]
+    numbered = enumerate(zip(values, of_each, strict=True))
+    players = [(value, jnp.int32(i), belongings) for i, (value, belongings) in numbered]
     while len(players) > 1:
         winners = [_winner(*pair) for pair in zip(players[::2], players[1::2], strict=False)]
         players = winners + players[2 * len(winners) :]
-    return players[0]
+    return players[0][1:]
 
 
-def _winner(left: tuple[Array, Array], right: tuple[Array, Array]) -> tuple[Array, Array]:
-    right_wins = right[1] > left[1]
+def _winner(left: tuple[Array, Array, T], right: tuple[Array, Array, T]) -> tuple[Array, Array, T]:
+    right_wins = right[0] > left[0]
     mask = -right_wins.astype(jnp.int32)
-    return left[0] ^ ((left[0] ^ right[0]) & mask), lax.select(right_wins, right[1], left[1])
+    index = left[1] ^ ((left[1] ^ right[1]) & mask)
+    value, belongings = choose(right_wins, (right[0], right[2]), (left[0], left[2]))
+    return value, index, belongings
 
 
 def greedy_by(ties: Ties, values: list[Array], first: Array, word: Array) -> Array:
@@ -37,11 +51,11 @@ def greedy_by(ties: Ties, values: list[Array], first: Array, word: Array) -> Arr
     return nth_allowed([value == pick(values, first) for value in values], word)
 
 
-def pick(values: list[Array], index: Array) -> Array:
-    """``values[index]`` for a few scalars."""
+def pick(values: Sequence[T], index: Array) -> T:
+    """``values[index]`` for a few pytrees of scalars."""
     chosen = values[0]
     for i, value in enumerate(values[1:], start=1):
-        chosen = lax.select(index == i, value, chosen)
+        chosen = choose(index == i, value, chosen)
     return chosen
 
 

@@ -105,8 +105,9 @@ class StackLayout:
 
     def is_active(self, task: Array, state: Array) -> Array:
         """Whether a subtask (int32, not negative) is not terminated in a state."""
-        bits = take(jnp.asarray(self.active_bits), state)
-        return ((bits >> task.astype(jnp.uint32)) & np.uint32(1)) == 1
+        # XLA defines what a shift by more than 31 bits gives, at a cost wherever it may happen.
+        bits, bit = take(jnp.asarray(self.active_bits), state), task.astype(jnp.uint32) & np.uint32(31)
+        return ((bits >> bit) & np.uint32(1)) == 1
 
     @cached_property
     def active_bits(self) -> np.ndarray:

@@ -38,6 +38,7 @@ class Row(NamedTuple, Generic[Q]):
     values: list[Q]  # slot by slot
     allowed: list[Array | None]  # whether each can be invoked; None where it always can
     best: Array  # int32: the greedy slot, the first of equally good ones
+    of_best: Q  # the values of the child in it
     worth: list[Array]  # what is greedily chosen by, slot by slot
 
 
@@ -112,18 +113,11 @@ class ChildValues(Learner[Prepared, Tables, Control], Generic[Prepared, Tables, 
             preference(q) if can is None else lax.select(can, preference(q), never)
             for q, can in zip(values, allowed, strict=True)
         ]
-        return Row(values, allowed, choices.greedy(worth)[0], worth)
-
-    def _values_of(self, known: Known, children: ChildSet, task: Array, state: Array, row: Row[Q], slot: Array) -> Q:
-        """The values of the child in one slot of a row."""
-        if children.is_primitive:  # To choose among values that are at hand takes longer.
-            return self._stored_in(known, children, task, state, slot)
-        return _picked(row, slot)
+        return Row(values, allowed, *choices.greedy_of(worth, values), worth)
 
     def _best(self, known: Known, children: ChildSet, task: Array, state: Array) -> Q:
         """The values of a subtask's greedy child."""
-        row = self._row(known, children, task, state)
-        return _picked(row, row.best)
+        return self._row(known, children, task, state).of_best
 
     def _child_value(self, known: Known) -> ChildValue:
         """A subtask's value until it ends, at what it would do itself (thesis eq. 3.3)."""
@@ -135,9 +129,3 @@ class ChildValues(Learner[Prepared, Tables, Control], Generic[Prepared, Tables, 
             return self.value_until_end(best)
 
         return value
-
-
-def _picked(row: Row[Q], slot: Array) -> Q:
-    """The values in one slot of a row that is at hand."""
-    numbers = zip(*row.values, strict=True)
-    return type(row.values[0])(*(choices.pick(list(of_slots), slot) for of_slots in numbers))

@@ -156,7 +156,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
 
         def of_children(children: ChildSet) -> tuple[Array, Q]:
             row = self._row(known, children, task, state)
-            return row.best, self._values_of(known, children, task, state, row, row.best)
+            return row.best, row.of_best
 
         return known.layout.by_child_set(known.layout.all_tasks, task, of_children)
 
@@ -243,7 +243,7 @@ class StackOfSubtasks(ChildValues[Prepared, Tables, Control, Q], Generic[Prepare
                 now = row()
                 can = [jnp.bool_(True) if allowed is None else allowed for allowed in now.allowed]
                 slot = lax.select(word < threshold(epsilon), choices.nth_allowed(can, word), best(now))
-                q = self._values_of(known, children, task, state, now, slot)
+                q = choices.pick(now.values, slot)
             return Choice(*known.layout.child_of(children, slot), slot, q)
 
         return known.layout.by_child_set(known.layout.levels[level], task, of_children)
