@@ -18,12 +18,11 @@ Ties: TypeAlias = Literal["first", "random"]
 
 def greedy(values: list[Array]) -> tuple[Array, Array]:
     """Index (int32) and value of the greatest of a few scalars; ties go to the first."""
-    index, (value,) = greedy_of(values, [(value,) for value in values])
-    return index, value
+    return greedy_of(values, values)
 
 
 def greedy_of(values: list[Array], of_each: Sequence[T]) -> tuple[Array, T]:
-    """Index (int32) of the greatest of a few scalars, and what belongs to it, a pytree of scalars; ties go to the first.
+    """Index (int32) of the greatest of a few scalars, and what belongs to it (a pytree); ties go to the first.
 
     A tournament: its rounds are fewer than values, and the index goes by bits, because selects of it would become
     branches, which a learning agent makes unpredictable.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrljax.core.choices import epsilon_greedy, greedy, pick
+from hrljax.core.choices import epsilon_greedy, greedy, greedy_of, pick
 from hrljax.core.random import WORD_RANGE
 from hrljax.learners.hordq import Q, hordq_target
 from hrljax.learners.updates import increment, td_target, traced_increment
@@ -116,6 +116,9 @@ def test_greedy_ties_go_to_the_first(count: int):
 def test_greedy_is_the_first_argmax(values: list[float]):
     index, value = greedy(scalars(values))
     assert (int(index), float(value)) == (np.argmax(np.float32(values)), max(np.float32(values)))
+    belongings = [(jnp.int32(10 + i), jnp.float32(-i)) for i in range(len(values))]
+    again, (number, other) = greedy_of(scalars(values), belongings)
+    assert (int(again), int(number), float(other)) == (index, 10 + index, -index)
 
 
 @given(values=few_values)
