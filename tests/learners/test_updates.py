@@ -118,7 +118,7 @@ def test_greedy_is_the_first_argmax(values: list[float]):
     assert (int(index), float(value)) == (np.argmax(np.float32(values)), max(np.float32(values)))
     belongings = [(jnp.int32(10 + i), jnp.float32(-i)) for i in range(len(values))]
     again, (number, other) = greedy_of(scalars(values), belongings)
-    assert (int(again), int(number), float(other)) == (index, 10 + index, -index)
+    assert (int(again), int(number), int(other)) == (int(index), 10 + int(index), -int(index))
 
 
 @given(values=few_values)
