@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hrljax.envs.mario.competition import begin
+from hrljax.envs.mario.competition import unbegun
 from hrljax.envs.mario.engine.state import World
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.nearby import dangers, nearest
@@ -27,7 +27,7 @@ def level() -> str:
 
 
 ENV = Mario(levels=(level(),), preset="thesis")
-START = begin(ENV.course, 0)
+START = unbegun(ENV.course, 0)
 GOOMBA, MUSHROOM = 3, 6
 STANDING = 13 * 16 - 1
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hrljax as hrl
-from hrljax.envs.mario.competition import begin
+from hrljax.envs.mario.competition import begin, unbegun
 from hrljax.envs.mario.engine.state import Player, World
 from hrljax.envs.mario.env import Mario
 from hrljax.learners.base import Transition
@@ -37,7 +37,7 @@ def goombas() -> str:
 
 ENV = Mario(levels=(goombas(),), preset="thesis")
 RIGHT_SPEED = ENV.action_names.index("right speed")
-START = begin(ENV.course, 0)
+START = unbegun(ENV.course, 0)
 
 
 def world_with(*things: dict[str, float]) -> World:
@@ -132,7 +132,7 @@ def promises(tables: Encounters, episode: Any, action: jax.Array) -> Any:
 @pytest.mark.slow
 def test_a_death_is_learned_and_foreseen():
     """Mario runs into a goomba; after it was learned, the model promises the death in that step, and no other."""
-    tables, state, terminated, states = MODEL.init(ENV), START, False, []
+    tables, state, terminated, states = MODEL.init(ENV), begin(ENV.course, 0), False, []
     while not terminated:
         after, reward, terminated = step(state, jnp.int32(RIGHT_SPEED))
         states.append(state)

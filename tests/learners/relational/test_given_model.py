@@ -30,6 +30,7 @@ def level(exit_column: int) -> str:
 
 ENV = Mario(levels=(level(45), level(26)), preset="thesis")
 FAR, NEAR = range(2)
+begun = jax.jit(lambda number: begin(ENV.course, number))
 
 
 @jax.jit
@@ -46,7 +47,7 @@ def both(state: Any, ahead: Any, action: jax.Array) -> Any:
 def test_a_look_ahead_is_what_the_engine_does(number: int, seed: int, end: str):
     """Bit for bit, in position, in every field of Mario and in reward, to the end of the episode and beyond."""
     generator = np.random.default_rng(seed)
-    state = begin(ENV.course, number)
+    state = begun(number)
     _, ahead = MarioDynamics().planned(ENV, (), state)
     for _ in range(150):
         action = jnp.int32(generator.choice([0, 2, 4, 5, 6, 7, 8, 8, 8]))
@@ -69,7 +70,7 @@ def test_a_look_ahead_is_what_the_engine_does(number: int, seed: int, end: str):
 @pytest.mark.slow
 def test_the_end_pays_what_the_preset_says():
     """Running into the pit costs a death on the way down, once."""
-    state = begin(ENV.course, FAR)
+    state = begun(FAR)
     pit = 28.6 * 16
     world = state.world._replace(player=state.world.player._replace(x=jnp.float32(pit), y=jnp.float32(230.0)))
     model, start = MarioDynamics().planned(ENV, (), state._replace(world=world))

@@ -1,8 +1,9 @@
 """Relational learning in Mario: against plain Python, and the identities of the pseudo-reward."""
 
 import dataclasses
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import chex
 import jax
@@ -12,45 +13,21 @@ import pytest
 
 import hrljax as hrl
 from hrljax.core.random import WORD_RANGE
-from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.features import NUM_OBJECT_CELLS, NUM_SYMBOLS, object_cells, objects
 from hrljax.learners.base import Transition
 from hrljax.learners.relational import search_root
 from hrljax.learners.relational.learner import RelationalHORDQ
 from hrljax.learners.relational.screen_model import ModelTables, body_of
 from tests.contexts import learning
+from tests.learners.relational.walks import ENV, Walk
 
-ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")  # monsters from the first screen on
 ACTIONS = ENV.num_actions
 MODEL = hrl.MarioModel(rows=64, max_depth=4, min_leaf=2, num_bins=8)
 ROOT = hrl.SearchRoot(model=MODEL, depth=3, max_nodes=18)
 F = np.float32
 
 
-class Recorded(NamedTuple):
-    """A walk: what a learner is given, step by step."""
-
-    first: Any
-    steps: list[Transition]
-    words: np.ndarray  # [steps + 1] uint32
-
-
-@pytest.fixture(scope="module")
-def walk() -> Recorded:
-    """Right-biased random actions until the episode ends."""
-    generator = np.random.default_rng(7)
-    step = jax.jit(lambda state, action: ENV.step(jax.random.key(0), state, action))
-    _, state = jax.jit(ENV.reset)(jax.random.key(0))
-    first, steps = state, []
-    while not steps or not (steps[-1].terminated or len(steps) == 80):
-        action = jnp.int32(generator.choice([4, 5, 7, 8, 0]))
-        _, after, reward, terminated, _, _ = step(state, action)
-        steps.append(Transition(state, action, reward, after, terminated))
-        state = after
-    return Recorded(first, steps, generator.integers(WORD_RANGE, size=len(steps) + 1).astype(np.uint32))
-
-
-def replayed(learner: RelationalHORDQ, walk: Recorded) -> tuple[Any, list[Any]]:
+def replayed(learner: RelationalHORDQ, walk: Walk) -> tuple[Any, list[Any]]:
     """Tables after the walk, and the control after every step; `learn` looks at the steps' own actions."""
     prepared = learner.prepare(ENV)
     state = learner.init(ENV, prepared)
@@ -110,7 +87,7 @@ class PythonSARSA:
     [{}, {"trace_length": 5, "trace_decay": 0.8}, {"bias": "shared", "trace_length": 3, "trace_decay": 0.5}],
     ids=["one step", "accumulating traces", "shared bias"],
 )
-def test_weights_are_those_of_plain_python(walk: Recorded, options: dict[str, Any]):
+def test_weights_are_those_of_plain_python(walk: Walk, options: dict[str, Any]):
     learner = RelationalHORDQ(epsilon=0.3, initial_value=2.0, **options)
     tables, controls = replayed(learner, walk)
     python = PythonSARSA(learner)
@@ -122,7 +99,7 @@ def test_weights_are_those_of_plain_python(walk: Recorded, options: dict[str, An
 
 
 @pytest.mark.parametrize("bias", ["own", "shared"])
-def test_where_no_concept_holds_only_biases_of_their_own_tell_actions_apart(walk: Recorded, bias: Any):
+def test_where_no_concept_holds_only_biases_of_their_own_tell_actions_apart(walk: Walk, bias: Any):
     """Each of many deaths makes what was done look worse; without a concept that must not hide the root's advice."""
     learner = RelationalHORDQ(epsilon=0.0, bias=bias)
     prepared = learner.prepare(ENV)
@@ -137,7 +114,7 @@ def test_where_no_concept_holds_only_biases_of_their_own_tell_actions_apart(walk
 
 
 @pytest.mark.slow
-def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
+def test_a_step_that_does_not_count_changes_no_table(walk: Walk):
     """Runs in step under `vmap` take such steps; the trail has to stay as it is, at its end and where it wraps."""
     learner = RelationalHORDQ(epsilon=0.3, trace_length=5, trace_decay=0.8)
     prepared = learner.prepare(ENV)
@@ -155,19 +132,19 @@ def test_a_step_that_does_not_count_changes_no_table(walk: Recorded):
         chex.assert_trees_all_equal(learn(state, step, jnp.bool_(False)).tables, state.tables)
 
 
-def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Recorded):
+def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Walk):
     alone, without = replayed(RelationalHORDQ(epsilon=0.3), walk)
     under_root, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.3, pseudo_reward=0.0), walk)
     np.testing.assert_array_equal(alone.weights, under_root.weights)
     assert [int(c.action) for c in without] == [int(c.action) for c in controls]
 
 
-def test_a_huge_pseudo_reward_follows_the_root(walk: Recorded):
+def test_a_huge_pseudo_reward_follows_the_root(walk: Walk):
     _, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.0, pseudo_reward=1e6), walk)
     assert all(int(control.action) == int(control.decision.task) for control in controls)
 
 
-def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Recorded):
+def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Walk):
     """Choices of a plain program that is told what the root suggests."""
     fading = hrl.Fading(worth=1.0, after=5.0)
     learner = RelationalHORDQ(ROOT, epsilon=0.0, pseudo_reward=fading, step_size=0.2, discount=0.9)
@@ -195,7 +172,7 @@ def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Recorded):
     assert 0 < sum(obeyed) < len(obeyed)
 
 
-def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Recorded, monkeypatch: pytest.MonkeyPatch):
+def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Walk, monkeypatch: pytest.MonkeyPatch):
     loops, search = [], search_root.best_first_search
 
     def noted(*arguments: Any, loop: str, **options: Any) -> Any:
@@ -216,7 +193,7 @@ def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Recorded, monk
 
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, {"offsets": True, "below": True}], ids=["thesis", "offsets and below"])
-def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk: Recorded, more: dict[str, Any]):
+def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk: Walk, more: dict[str, Any]):
     """With a leaf for every transition the model gives back what it has seen."""
     model = hrl.MarioModel(rows=32, max_depth=20, min_leaf=1, num_bins=64, **more)
     learner = RelationalHORDQ(hrl.SearchRoot(model=model, depth=1, max_nodes=9))
@@ -242,14 +219,15 @@ def test_the_replay_keeps_the_last_transitions_and_the_model_predicts_them(walk:
 
 
 @pytest.mark.slow
-def test_pessimism_takes_off_what_was_not_met(walk: Recorded):
+def test_pessimism_takes_off_what_was_not_met(walk: Walk):
     model = hrl.MarioModel(rows=32, pessimism=2.0)
     plain = dataclasses.replace(model, pessimism=0.0)
     tables, _ = replayed(RelationalHORDQ(hrl.SearchRoot(model=model, depth=1, max_nodes=9)), walk)
 
-    def rewards(of: hrl.MarioModel, episode: Any) -> np.ndarray:
+    @partial(jax.jit, static_argnums=0)
+    def rewards(of: hrl.MarioModel, episode: Any) -> jax.Array:
         ahead, start = of.planned(ENV, tables.root, episode)
-        return np.array([float(ahead(start, jnp.int32(action))[1]) for action in range(ACTIONS)])
+        return jnp.stack([ahead(start, jnp.int32(action))[1] for action in range(ACTIONS)])
 
     def rounded(step: Transition) -> bytes:
         inputs = np.asarray(model.inputs(ENV.course, step.state.world))
@@ -264,7 +242,7 @@ def test_pessimism_takes_off_what_was_not_met(walk: Recorded):
     assert plain.init(ENV).met == ()
 
 
-def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: Recorded):
+def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: Walk):
     model = hrl.MarioModel(offsets=True, below=True)
     world = walk.first.world
     world = world._replace(player=world.player._replace(x=jnp.float32(100.0), y=jnp.float32(212.0)))
@@ -295,7 +273,7 @@ def test_only_mario_can_be_played():
 
 
 @pytest.mark.slow
-def test_the_number_of_nodes_can_be_swept(walk: Recorded):
+def test_the_number_of_nodes_can_be_swept(walk: Walk):
     root = hrl.SearchRoot(model=hrl.MarioDynamics(), max_nodes=9, room=90, priority="last_reward")
     learner = RelationalHORDQ(root)
     assert learner.sweepable()["root.max_nodes"] == 9
@@ -330,7 +308,7 @@ def test_wrong_roots_are_refused(options: dict[str, Any], message: str):
         hrl.SearchRoot(**options)
 
 
-def test_a_policy_over_states_takes_the_best_action(walk: Recorded, tmp_path: Path):
+def test_a_policy_over_states_takes_the_best_action(walk: Walk, tmp_path: Path):
     learner = RelationalHORDQ(epsilon=1.0, initial_value=-0.5)
     state = learner.init(ENV, learner.prepare(ENV))
     drawn = np.random.default_rng(5).normal(size=state.tables.weights.shape).astype(F)

@@ -1,6 +1,7 @@
 """The model with multiway trees: what it keeps and gives back, ends that it foresees, the screen's edges."""
 
 import dataclasses
+from functools import cache
 from typing import Any
 
 import chex
@@ -11,37 +12,36 @@ import pytest
 
 import hrljax as hrl
 from hrljax.engine import compiler
-from hrljax.envs.mario.env import Mario
+from hrljax.envs.mario.competition import unbegun
 from hrljax.learners.base import Transition
 from hrljax.learners.relational.multiway_model import MultiwayModel
 from hrljax.learners.relational.screen_model import Foreseen, ScreenModel, body_of
+from tests.learners.relational.walks import ENV, Walk
 
-ENV = Mario(seeds=(2,), difficulty=10, preset="thesis")
 F = np.float32
 MODEL = MultiwayModel(rows=64, pessimism=5.0)
 
 
-@pytest.fixture(scope="module")
-def walk() -> list[Transition]:
-    """Right-biased random actions until the episode ends."""
-    generator = np.random.default_rng(7)
-    step = jax.jit(lambda state, action: ENV.step(jax.random.key(0), state, action))
-    _, state = jax.jit(ENV.reset)(jax.random.key(0))
-    steps: list[Transition] = []
-    while not steps or not steps[-1].terminated:
-        action = jnp.int32(generator.choice([4, 5, 7, 8, 0]))
-        _, after, reward, terminated, _, _ = step(state, action)
-        steps.append(Transition(state, action, reward, after, terminated))
-        state = after
-    assert 10 < len(steps) < 64
-    return steps
+@pytest.fixture
+def walk(walk: Walk) -> list[Transition]:
+    """The steps alone."""
+    return walk.steps
 
 
-def observed(model: MultiwayModel, walks: list[list[Transition]], learns: bool = True) -> Any:
-    observe = jax.jit(lambda tables, step: model.observe(ENV, tables, step, jnp.bool_(learns)))
+@cache
+def observing(model: MultiwayModel, learns: bool = True) -> Any:
+    return jax.jit(lambda tables, step: model.observe(ENV, tables, step, jnp.bool_(learns)))
+
+
+@cache
+def refitting(model: MultiwayModel) -> Any:
+    return jax.jit(lambda tables: model.refit(ENV, tables))
+
+
+def observed(model: MultiwayModel, walks: list[list[Transition]]) -> Any:
     tables = model.init(ENV)
     for step in (step for walk in walks for step in walk):
-        tables = observe(tables, step)
+        tables = observing(model)(tables, step)
     return tables
 
 
@@ -73,9 +73,8 @@ def test_equal_transitions_are_one_row_with_a_weight(walk: list[Transition]):
 @pytest.mark.slow
 def test_a_transition_that_does_not_count_changes_nothing_that_is_read(walk: list[Transition]):
     before, after = observed(MODEL, [walk[:3]]), observed(MODEL, [walk[:3]])
-    ignore = jax.jit(lambda tables, step: MODEL.observe(ENV, tables, step, jnp.bool_(False)))
     for step in walk:
-        after = ignore(after, step)
+        after = observing(MODEL, learns=False)(after, step)
     np.testing.assert_array_equal(before.replay.values[: -MODEL._width], after.replay.values[: -MODEL._width])
     np.testing.assert_array_equal(before.replay.weights[:-1], after.replay.weights[:-1])
     chex.assert_trees_all_equal(before.replay.places, after.replay.places)
@@ -113,7 +112,7 @@ def test_what_was_met_comes_back_exactly_and_the_last_step_is_an_end(walk: list[
 def confused() -> tuple[list[Transition], Any]:
     """Steps from one moment that only the action before tells apart, and a model that has met them."""
     model = dataclasses.replace(MODEL, memory=True, weighted=False)
-    _, state = jax.jit(ENV.reset)(jax.random.key(0))
+    state = unbegun(ENV.course, 0)
     right, jump = (ENV.keys(jnp.int32(action)) for action in (5, 4))
     steps = []
     for keys, distance, reward in ((right, 16.0, 1.0), (jump, 32.0, 2.0), (right, 8.0, 3.0)):
@@ -122,7 +121,7 @@ def confused() -> tuple[list[Transition], Any]:
         before = state._replace(keys=keys)
         steps.append(Transition(before, jnp.int32(5), jnp.float32(reward), after, jnp.bool_(False)))
     tables = observed(model, [steps])
-    return steps, jax.jit(lambda tables: model.refit(ENV, tables))(tables)
+    return steps, refitting(model)(tables)
 
 
 def test_a_memory_tells_what_the_last_of_equal_steps_brought(confused: tuple[list[Transition], Any]):
@@ -143,8 +142,7 @@ def test_a_memory_tells_what_the_last_of_equal_steps_brought(confused: tuple[lis
 def test_trees_without_weights_are_left_alone_until_something_new_was_met(confused: tuple[list[Transition], Any]):
     steps, tables = confused
     model = dataclasses.replace(MODEL, memory=True, weighted=False)
-    observe = jax.jit(lambda tables, step: model.observe(ENV, tables, step, jnp.bool_(True)))
-    refit = jax.jit(lambda tables: model.refit(ENV, tables))
+    observe, refit = observing(model), refitting(model)
     marked = tables._replace(learned=jax.tree.map(jnp.zeros_like, tables.learned))
     again = refit(observe(marked, steps[0]))
     chex.assert_trees_all_equal(again.learned, marked.learned)
@@ -157,7 +155,7 @@ def test_trees_without_weights_are_left_alone_until_something_new_was_met(confus
 def test_a_plan_that_is_cut_off_above_a_pit_knows_what_came_after(walk: list[Transition]):
     """The steps before the walk's end carry it, less and less; those long before do not."""
     model = dataclasses.replace(MODEL, memory=True, weighted=False, death_decay=0.5)
-    tables = jax.jit(lambda tables: model.refit(ENV, tables))(observed(model, [walk]))
+    tables = refitting(model)(observed(model, [walk]))
     ahead = looking(model, tables)
     assert float(walk[-1].reward) < -20
     for back in (1, 2, 3, 20):
