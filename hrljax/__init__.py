@@ -46,6 +46,7 @@ from hrljax.learners.rmax import RMax  # noqa: E402
 from hrljax.learners.roots.linear import LinearRoot  # noqa: E402
 from hrljax.learners.roots.model import ModelRoot  # noqa: E402
 from hrljax.learners.roots.random import RandomRoot  # noqa: E402
+from hrljax.learners.roots.rldt import RLDTRoot  # noqa: E402
 from hrljax.learners.shared import SharedHORDQ  # noqa: E402
 from hrljax.learners.traces import QLambda, SARSALambda  # noqa: E402
 from hrljax.search.a_star import a_star_search  # noqa: E402
@@ -97,6 +98,7 @@ __all__ = [
     "Points",
     "QLambda",
     "QLearning",
+    "RLDTRoot",
     "RMax",
     "RandomRoot",
     "RelationalHORDQ",

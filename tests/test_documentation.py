@@ -155,7 +155,10 @@ LEARNERS = sorted(
 )
 
 
-@pytest.mark.parametrize("name", [*LEARNERS, "LinearRoot", "ModelRoot", "RandomRoot", "SearchRoot", "Fading"])
+ROOTS = ["LinearRoot", "ModelRoot", "RandomRoot", "RLDTRoot", "SearchRoot"]
+
+
+@pytest.mark.parametrize("name", [*LEARNERS, *ROOTS, "Fading"])
 def test_every_learner_has_a_page_with_its_curve_and_its_rule(name: str):
     """A page in docs/learners that points to its API."""
     pages = [page.read_text() for page in (ROOT / "docs" / "learners").glob("*.md")]

@@ -23,18 +23,43 @@ _MOST_VALUES = 4
 """What a variable can become of one step, at most: the likeliest are kept."""
 
 
-class Rewards(NamedTuple):
-    """The different rewards seen."""
+class Distinct(NamedTuple):
+    """The different numbers seen, at most N."""
 
-    values: Array  # [R] float32, in the order in which they were first seen
+    values: Array  # [N] float32, in the order in which they were first seen
     number: Array  # int32: how many there are
+
+    @staticmethod
+    def of(size: int, *first: float) -> "Distinct":
+        """Places for so many numbers, of which the first are known."""
+        values = np.zeros(size, np.float32)
+        values[: len(first)] = first
+        return Distinct(jnp.asarray(values), jnp.int32(len(first)))
+
+    def having(self, number: Array) -> "tuple[Array, Distinct]":
+        """The place of a number, and the numbers with it; beyond the first N it counts as the nearest of them."""
+        size = len(self.values)
+        places = np.arange(size, dtype=np.int32)
+        off = jnp.where(places < self.number, jnp.abs(self.values - number), np.float32(np.inf))
+        is_new = (off.min() > 0) & (self.number < np.int32(size))
+        place = lax.select(is_new, self.number, jnp.where(off == off.min(), places, np.int32(2**30)).min())
+        value = lax.select(is_new, number, take(self.values, place))
+        return place, Distinct(put_row(self.values, place, value[None]), self.number + is_new.astype(jnp.int32))
+
+
+class Numbers(NamedTuple):
+    """What classes of trees stand for."""
+
+    rewards: Distinct
+    weights: Distinct  # of what follows: first 1 where the episode went on and 0 where it ended
 
 
 class Outcomes(NamedTuple):
     """What the model predicts of P = S * A pairs ``state * A + action``: M next states each, with their weights."""
 
     reward: Array  # [P] float32: mean
-    follows: Array  # [P] float32: probability that the episode goes on, divided by the sum of the weights
+    follows: Array  # [P] float32: mean weight of what follows (the probability that the episode goes on, where steps
+    # are not discounted), divided by the sum of the weights of next states
     next_state: Array  # [M * P] int32
     weight: Array  # [M * P] float32
     most: Array  # int32: of how many next states any pair has
@@ -50,6 +75,8 @@ class FactoredModel:
         effects: whether a tree of a variable predicts its ``"relative"`` change, or its ``"absolute"`` next value.
         num_rewards: R, different rewards that are told apart.
         num_outcomes: M, next states of a pair that are kept.
+        num_weights: different weights of what follows that are told apart, at least 2.
+        allowed: ``[P]`` bool: pairs whose action can be taken, all if None.
         score, max_nodes, num_trees: as of `ClassificationTrees`.
     """
 
@@ -61,6 +88,8 @@ class FactoredModel:
     score: Score
     max_nodes: int
     num_trees: int
+    num_weights: int = 2
+    allowed: np.ndarray | None = None
 
     @property
     def num_variables(self) -> int:
@@ -77,7 +106,7 @@ class FactoredModel:
         return ClassificationTrees(
             sizes=(*sizes, self.num_actions),
             ordered=(*(size > 2 for size in sizes), False),
-            num_classes=(*of_variables, self.num_rewards, 2),
+            num_classes=(*of_variables, self.num_rewards, self.num_weights),
             score=self.score,
             max_nodes=self.max_nodes,
             num_trees=self.num_trees,
@@ -97,12 +126,21 @@ class FactoredModel:
     def seen_before(self, counts: Array, pair: Array) -> Array:
         """How often the action of a pair (int32, any shape) was taken: each time the episode ended or went on."""
         place = pair * np.int32(self.trees.width) + np.int32(self.trees.first_class[-1])
-        return gather(counts, place) + gather(counts, place + 1)
+        total = gather(counts, place)
+        for which in range(1, self.num_weights):
+            total = total + gather(counts, place + np.int32(which))
+        return total
 
-    def classes(self, transition: Transition, rewards: Rewards) -> tuple[list[Array], Rewards]:
-        """The class of each kind of tree (int32) that a step is one of, and the rewards with that of the step.
+    def no_numbers(self) -> Numbers:
+        return Numbers(Distinct.of(self.num_rewards), Distinct.of(self.num_weights, 1.0, 0.0))
 
-        A reward beyond the first R different ones counts as the nearest of these.
+    def classes(self, transition: Transition, weight: Array, numbers: Numbers) -> tuple[list[Array], Numbers]:
+        """The class of each kind of tree (int32) that a step is one of, and the numbers with those of the step.
+
+        Args:
+            transition: the step.
+            weight: float32, of what follows: 0 where the episode ended, else 1, or what it is discounted by.
+            numbers: those seen before.
         """
         size = self.num_variables
         table = jnp.asarray(self.states.values.ravel())
@@ -111,13 +149,9 @@ class FactoredModel:
         of_variables = [
             after[v] - before[v] + np.int32(n - 1) if is_relative else after[v] for v, n in enumerate(self.states.sizes)
         ]
-        numbers = np.arange(self.num_rewards, dtype=np.int32)
-        off = jnp.where(numbers < rewards.number, jnp.abs(rewards.values - transition.reward), np.float32(np.inf))
-        is_new = (off.min() > 0) & (rewards.number < np.int32(self.num_rewards))
-        reward = lax.select(is_new, rewards.number, jnp.where(off == off.min(), numbers, np.int32(2**30)).min())
-        value = lax.select(is_new, transition.reward, take(rewards.values, reward))
-        rewards = Rewards(put_row(rewards.values, reward, value[None]), rewards.number + is_new.astype(jnp.int32))
-        return [*of_variables, reward, transition.terminated.astype(jnp.int32)], rewards
+        reward, rewards = numbers.rewards.having(transition.reward)
+        end, weights = numbers.weights.having(weight)
+        return [*of_variables, reward, end], Numbers(rewards, weights)
 
     def counted(self, counts: Array, pair: Array, classes: list[Array], terminated: Array, learns: Array) -> Array:
         """The counts with one more step, if `learns`. Of a step that ends the episode no next state is learned."""
@@ -149,15 +183,20 @@ class FactoredModel:
 
         return lax.fori_loop(jnp.int32(0), jnp.int32(len(classes)), of_kind, jnp.float32(1))
 
-    def predicted(self, forest: Forest, rewards: Rewards, zero: Array) -> Outcomes:
+    def predicted(self, forest: Forest, numbers: Numbers, zero: Array) -> Outcomes:
         """The outcomes of all pairs."""
         probabilities = self._probabilities(forest, zero)
         *of_variables, of_rewards, of_ends = probabilities
-        reward = jnp.zeros(self.num_pairs, jnp.float32)
-        for number in range(self.num_rewards):
-            reward = reward + exact_product(rewards.values[number], of_rewards[number], zero)
+
+        def mean(known: Distinct, of_classes: Array) -> Array:
+            total = jnp.zeros(self.num_pairs, jnp.float32)
+            for which in range(len(known.values)):
+                total = total + exact_product(known.values[which], of_classes[which], zero)
+            return total
+
         next_state, weight, total, most = self._combined(of_variables, zero)
-        return Outcomes(reward, of_ends[0] / lax.max(total, np.float32(1e-6)), next_state, weight, most)
+        follows = mean(numbers.weights, of_ends) / lax.max(total, np.float32(1e-6))
+        return Outcomes(mean(numbers.rewards, of_rewards), follows, next_state, weight, most)
 
     def _probabilities(self, forest: Forest, zero: Array) -> list[Array]:
         """For each kind of tree, ``[classes, P]`` float32: the mean of its trees."""

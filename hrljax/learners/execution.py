@@ -85,6 +85,10 @@ class StackLearner(StackOfSubtasks[Prepared, StackTables, StackState, Q], Generi
         return self.hierarchy.depth
 
     @property
+    def has_loops(self) -> bool:  # type: ignore[override]
+        return self.root is not None and self.root.has_loops
+
+    @property
     def planning_interval(self) -> int:
         return 0 if self.root is None else self.root.planning_interval
 

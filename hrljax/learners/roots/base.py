@@ -33,6 +33,8 @@ class Root(Settings, ABC, Generic[Prepared, Tables, Memory, Asked]):
     """How a root chooses what its subtasks do; scalar and pure, as `hrljax.learners.base.Learner`."""
 
     name: ClassVar[str]
+    has_loops: ClassVar[bool] = False
+    """As of `hrljax.learners.base.Learner`."""
 
     @property
     def planning_interval(self) -> int:
