@@ -7,7 +7,7 @@ from pathlib import Path
 import interruptible  # noqa: F401
 
 from hrljax.core import checks
-from hrljax.experiments import neighbours, program
+from hrljax.experiments import neighbour_learners, neighbours, program
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Options:
     """Runs of each learner."""
     scale: float = 1.0
     """Factor of the number of episodes: 200 on Maze, 300 in four rooms, 1500 and 3000 on Taxi, 6000 on Bus."""
-    domains: tuple[str, ...] = tuple(neighbours.domains())
+    domains: tuple[str, ...] = tuple(neighbour_learners.domains())
     """Which domains."""
-    learners: tuple[str, ...] = tuple(neighbours.LEARNERS)
+    learners: tuple[str, ...] = tuple(neighbour_learners.LEARNERS)
     """Which learners."""
     out: Path = Path("runs/neighbours")
     """Folder for what is written."""
@@ -43,7 +43,7 @@ class Options:
 def main(options: Options) -> int:
     check(options)
     options.out.mkdir(parents=True, exist_ok=True)
-    known = neighbours.domains()
+    known = neighbour_learners.domains()
     exact = {name: neighbours.Exact(known[name]) for name in options.domains}
     settings = (options.learners, options.seeds, options.scale, options.cores, options.key)
     runs = (result for name in options.domains for result in neighbours.run(known[name], exact[name], *settings))
@@ -65,8 +65,8 @@ def check(options: Options) -> None:
     program.check_counts(options, "seeds")
     checks.number("--scale", options.scale, checks.Interval(0, 1000, low_open=True, high_open=True))
     for name, values, known in (
-        ("--domains", options.domains, neighbours.domains()),
-        ("--learners", options.learners, neighbours.LEARNERS),
+        ("--domains", options.domains, neighbour_learners.domains()),
+        ("--learners", options.learners, neighbour_learners.LEARNERS),
     ):
         if not values or len(set(values)) < len(values):
             raise ValueError(f"{name} must be at least one and different, got {' '.join(values) or 'none'}")

@@ -8,19 +8,16 @@ import numpy as np
 import xarray as xr
 
 from hrljax import stats
-from hrljax.core.environment import Numbers
-from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
+from hrljax.experiments.domains import Domain as AnyDomain
 from hrljax.experiments.rows import Row, interval_row
-from hrljax.hierarchy.leaf_cover import total_leaf_cover
-from hrljax.hierarchy.tables import tabulate
 from hrljax.learners.base import AnyLearner
 from hrljax.learners.flat import SARSA, QLearning
 from hrljax.learners.hordq import HORDQ, MAXQ
 from hrljax.learners.shared import SharedHORDQ
-from hrljax.solvers.dynamic_programming import policy_evaluation, value_iteration
+from hrljax.solvers.dynamic_programming import value_iteration
 from hrljax.sweeps.sweep import sweep
 
 SHARE = 0.5
@@ -32,26 +29,17 @@ _RETURN = {"units": "reward"}
 
 
 @dataclass(frozen=True)
-class Domain:
+class Domain(AnyDomain):
     """A domain with its learners, which differ in how they learn only."""
 
-    name: str
-    env: AnyTabularEnvironment
-    max_steps: int
-    episodes: int
     initial_value: float
-
-    @property
-    def params(self) -> Numbers:
-        return self.env.default_params._replace(max_steps=self.max_steps)
 
     def learners(self) -> dict[str, AnyLearner]:
         """Flat and hierarchical learners; roots learn as any subtask. MAXQ's values of a subtask start at 0.
 
         The pseudo-reward of the shared values fades by itself.
         """
-        hierarchy, initial = self.env.hierarchy(), self.initial_value
-        complete = total_leaf_cover(hierarchy, active=tabulate(hierarchy, self.env).active).hierarchy
+        hierarchy, complete, initial = self.hierarchy, self.complete, self.initial_value
         return {
             "Q-learning": QLearning(epsilon=_EPSILON, initial_value=initial),
             "SARSA(0)": SARSA(epsilon=_EPSILON, initial_value=initial),
@@ -72,14 +60,11 @@ def domains() -> list[Domain]:
 
 def exact(domain: Domain) -> dict[str, float]:
     """Expected returns of an episode by dynamic programming: where learning starts, and what it can reach."""
-    model, initial = domain.env.model(domain.params), domain.env.initial_distribution(domain.params)
-    uniform = np.full((model.num_states, model.num_actions), 1 / model.num_actions, np.float32)
-    values = {
-        "optimal": value_iteration(model).value,
-        "epsilon_soft": value_iteration(model, epsilon=_EPSILON).value,
-        "random": policy_evaluation(model, uniform, horizon=domain.max_steps),
+    return {
+        "optimal": domain.expected_return(value_iteration(domain.model).value),
+        "epsilon_soft": domain.expected_return(value_iteration(domain.model, epsilon=_EPSILON).value),
+        "random": domain.random_return(),
     }
-    return {name: float(initial @ np.asarray(value)) for name, value in values.items()}
 
 
 def run(

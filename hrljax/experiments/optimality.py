@@ -9,12 +9,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hrljax import plots, stats
-from hrljax.core.environment import Numbers
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.bus.env import Bus
 from hrljax.envs.grid import cell_render
 from hrljax.envs.grid.maze import Maze
 from hrljax.envs.taxi.env import Taxi
+from hrljax.experiments.domains import Domain as AnyDomain
 from hrljax.experiments.rows import Row, interval_row
 from hrljax.hierarchy import drawing
 from hrljax.hierarchy.leaf_cover import inaccessible, total_leaf_cover
@@ -41,19 +41,11 @@ _BINS = 128
 
 
 @dataclass(frozen=True)
-class Domain:
+class Domain(AnyDomain):
     """A domain with its learners; `pseudo_reward` is that of the exact recursively optimal policy."""
 
-    name: str
-    env: AnyTabularEnvironment
-    max_steps: int
-    episodes: int
     pseudo_reward: float
     learners: dict[str, AnyLearner]
-
-    @property
-    def params(self) -> Numbers:
-        return self.env.default_params._replace(max_steps=self.max_steps)
 
 
 def _neighbours(env: AnyTabularEnvironment, maxq: float, hordq: float, **numbers: Any) -> dict[str, AnyLearner]:
@@ -97,12 +89,11 @@ def domains() -> list[Domain]:
 
 def exact(domain: Domain) -> Optima:
     """The three criteria by dynamic programming; ties go to the first child."""
-    hierarchy, env = domain.env.hierarchy(), domain.env
     return solve_hierarchy(
-        hierarchy,
-        tabulate(hierarchy, env),
-        env.model(domain.params),
-        env.initial_distribution(domain.params),
+        domain.hierarchy,
+        tabulate(domain.hierarchy, domain.env),
+        domain.model,
+        domain.env.initial_distribution(domain.params),
         pseudo_reward=domain.pseudo_reward,
     )
 

@@ -11,9 +11,10 @@ import pytest
 import xarray as xr
 
 import hrljax
-from hrljax.experiments import neighbours
+from hrljax.experiments import neighbour_learners, neighbours
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "neighbours.py"
+ROOTS = ["model", "linear", "RL-DT"]
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *options: object) -> object:
@@ -76,21 +77,27 @@ def test_steps_to_reach_by_hand(monkeypatch: pytest.MonkeyPatch):
     assert re.fullmatch(r"\| Maze \| a \| 100 \[\d+, never\] \| 67% \| .* \| -5.3 \| 1.1 \| 0 \|", line)
 
 
-@pytest.mark.parametrize("name", neighbours.LEARNERS)
+@pytest.mark.parametrize("name", neighbour_learners.LEARNERS)
 def test_every_learner_is_made_for_the_domains_that_it_is_for(name: str):
-    domains = neighbours.domains()
-    made = {domain: neighbours.LEARNERS[name](domains[domain]) for domain in ("Maze", "Taxi")}
-    applies = {"feudal Q-learning": {"Maze"}, "shared HORDQ, model root": set(), "shared HORDQ, linear root": set()}
+    domains = neighbour_learners.domains()
+    made = {domain: neighbour_learners.LEARNERS[name](domains[domain]) for domain in ("Maze", "Taxi")}
+    nowhere = ["KWIK-R-MAX", *(f"shared HORDQ, {root} root" for root in ROOTS)]
+    applies = {"feudal Q-learning": {"Maze"}, **{key: set() for key in nowhere}}
     assert {domain for domain, learner in made.items() if learner} == applies.get(name, made.keys())
     for domain, learner in made.items():
         if learner is not None:
             learner.prepare(domains[domain].env)
 
 
-@pytest.mark.parametrize("root", ["model", "linear"])
+def test_what_is_for_chance_is_for_the_domains_with_chance():
+    made = {name: neighbour_learners.LEARNERS["KWIK-R-MAX"](of) for name, of in neighbour_learners.domains().items()}
+    assert {name for name, learner in made.items() if learner} == {"stochastic Taxi", "Bus"}
+
+
+@pytest.mark.parametrize("root", ROOTS)
 def test_a_root_that_plans_is_for_the_bus(root: str):
     """Elsewhere it has no abstraction, or no choice."""
-    learner = neighbours.LEARNERS[f"shared HORDQ, {root} root"](neighbours.domains()["Bus"])
+    learner = neighbour_learners.LEARNERS[f"shared HORDQ, {root} root"](neighbour_learners.domains()["Bus"])
     assert isinstance(learner, hrljax.SharedHORDQ)
 
 
