@@ -102,7 +102,7 @@ class Regressing:
                 return
 
 
-@pytest.mark.parametrize(("epsilon", "discount"), [(0.125, 0.97), (0.75, 1.0)])
+@pytest.mark.parametrize(("epsilon", "discount"), [(0.125, 0.97), pytest.param(0.75, 1.0, marks=pytest.mark.slow)])
 def test_a_run_gives_the_numbers_of_plain_python(epsilon: float, discount: float):
     learner = KWIKRMax(epsilon=epsilon, discount=discount, known_below=0.25, planning_sweeps=15, planning_tolerance=0.5)
     program = Regressing(learner)
@@ -111,6 +111,7 @@ def test_a_run_gives_the_numbers_of_plain_python(epsilon: float, discount: float
     assert len(np.unique(program.q)) > 50
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping():
     learner = KWIKRMax(epsilon=0.25, planning_sweeps=20, discount=0.97)
     assert_same_under_every_mapping(learner, {"known_below": [0.1, 0.3]})

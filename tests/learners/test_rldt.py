@@ -9,7 +9,7 @@ import pytest
 
 import hrljax
 from hrljax.learners.base import Transition
-from hrljax.learners.effects import FactoredModel, Numbers, backed_up
+from hrljax.learners.effects import FactoredModel, Numbers, Outcomes, backed_up
 from hrljax.learners.rldt import RLDT, SPITI
 from hrljax.trees.classification import Data
 from tests.learners.python_planner import Planner
@@ -81,6 +81,7 @@ def test_a_run_gives_the_numbers_of_plain_python(learner: RLDT):
     assert len(np.unique(program.q)) > 50
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping():
     learner = RLDT(epsilon=0.125, satisfying_value=-30.0, least_value=-50.0, refit_interval=20, max_nodes=63)
     assert_same_under_every_mapping(learner, {"least_score": [1e-4, 0.2]})
@@ -108,6 +109,19 @@ def counted(model: FactoredModel, steps: list[tuple[int, int, float, int, bool]]
     return counts, seen
 
 
+def predicted(model: FactoredModel, steps: list[tuple[int, int, float, int, bool]], pair: int) -> Outcomes:
+    """What trees say that have learned from steps, all of one pair of a state and an action."""
+
+    @jax.jit
+    def of_trees() -> Outcomes:
+        counts, seen = counted(model, steps)
+        data = Data(jnp.asarray(model.cells), counts, jnp.full(40, pair, jnp.int32), jnp.int32(1))
+        forest = model.trees.fit(data, jnp.float32(1e-4), jnp.uint32(0))
+        return model.predicted(forest, seen, jnp.uint32(0))
+
+    return of_trees()
+
+
 CORRIDOR = hrljax.make("Gridworld", map="S....\n....G")
 """Ten cells in two rows of five; east is action 1, south action 2."""
 
@@ -116,10 +130,7 @@ CORRIDOR = hrljax.make("Gridworld", map="S....\n....G")
 def test_one_step_tells_what_the_same_step_does_elsewhere(effects: Any, after_east: list[int]):
     """Of relative effects: one column further, up to the wall; of absolute ones: to where it led."""
     model = RLDT(effects=effects).prepare(CORRIDOR)
-    counts, seen = counted(model, [(1, 1, -1.0, 2, False)])
-    data = Data(jnp.asarray(model.cells), counts, jnp.full(40, 5, jnp.int32), jnp.int32(1))
-    forest = model.trees.fit(data, jnp.float32(1e-4), jnp.uint32(0))
-    outcomes = model.predicted(forest, seen, jnp.uint32(0))
+    outcomes = predicted(model, [(1, 1, -1.0, 2, False)], pair=5)
     pairs = np.arange(5) * 4 + 1
     np.testing.assert_array_equal(outcomes.next_state[pairs], after_east)
     np.testing.assert_array_equal(outcomes.reward, np.full(40, -1, F))
@@ -131,11 +142,9 @@ def test_outcomes_are_products_of_what_the_variables_become():
     """From cell 6 to the east: three times in four a column further, once a row up too; the end is once in five."""
     model = RLDT().prepare(CORRIDOR)
     steps = [(6, 1, -1.0, 7, False)] * 3 + [(6, 1, -3.0, 2, False), (6, 1, -1.0, 0, True)]
-    counts, seen = counted(model, steps)
+    counts, _ = jax.jit(lambda: counted(model, steps))()
     assert int(model.seen_before(counts, jnp.int32(25))) == 5
-    data = Data(jnp.asarray(model.cells), counts, jnp.full(40, 25, jnp.int32), jnp.int32(1))
-    forest = model.trees.fit(data, jnp.float32(1e-4), jnp.uint32(0))
-    outcomes = model.predicted(forest, seen, jnp.uint32(0))
+    outcomes = predicted(model, steps, pair=25)
     assert outcomes.next_state.reshape(-1, 40)[:2, 25].tolist() == [7, 2]
     np.testing.assert_allclose(outcomes.weight.reshape(-1, 40)[:2, 25], [0.75, 0.25], rtol=1e-6)
     assert float(outcomes.reward[25]) == pytest.approx(-1.4)
@@ -148,7 +157,7 @@ def test_outcomes_are_products_of_what_the_variables_become():
 def test_rewards_beyond_the_last_place_count_as_the_nearest():
     model = RLDT(max_rewards=2).prepare(CORRIDOR)
     steps = [(0, 1, reward, 1, False) for reward in (-1.0, 5.0, 3.0, 0.0, -1.0)]
-    counts, seen = counted(model, steps)
+    counts, seen = jax.jit(lambda: counted(model, steps))()
     first = model.trees.first_class[2]
     assert seen.rewards.values.tolist() == [-1, 5]
     assert counts[1 * model.trees.width + first :][:2].tolist() == [3, 2]

@@ -1,5 +1,8 @@
 """Update rules against tables computed by hand, and choices among a few values."""
 
+from collections.abc import Callable
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,13 +25,20 @@ def scalars(values: list[float]) -> list[jax.Array]:
     return [jnp.float32(v) for v in values]
 
 
-def targets(reward: float, discount: float, exited: bool, pseudo_reward: float, q_next: Q = NEXT) -> dict:
-    numbers = jnp.float32(reward), jnp.bool_(exited), jnp.float32(pseudo_reward), Q(*scalars(list(q_next)))
+@cache
+def target(discount: float) -> Callable[..., Q]:
+    """HORDQ's target with a discount that the compiler knows."""
 
-    def target(reward, exited, pseudo_reward, q_next):
+    @jax.jit
+    def of(reward, exited, pseudo_reward, q_next):
         return hordq_target(reward, learning().discounted(jnp.float32(discount)), exited, pseudo_reward, q_next)
 
-    q = jax.jit(target)(*numbers)
+    return of
+
+
+def targets(reward: float, discount: float, exited: bool, pseudo_reward: float, q_next: Q = NEXT) -> dict:
+    numbers = jnp.float32(reward), jnp.bool_(exited), jnp.float32(pseudo_reward), Q(*scalars(list(q_next)))
+    q = target(discount)(*numbers)
     assert all(part.dtype == jnp.float32 for part in q)
     return {name: float(part) for name, part in q._asdict().items()}
 

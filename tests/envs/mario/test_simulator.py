@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hrljax.envs.mario.competition import Episode, begin
+from hrljax.envs.mario.competition import Episode, begin, unbegun
 from hrljax.envs.mario.engine.state import new_player
 from hrljax.envs.mario.env import ALL_ACTIONS, Mario
 from hrljax.envs.mario.levels.ascii import to_ascii
@@ -26,6 +26,7 @@ def plain() -> str:
 
 
 ENV = Mario(levels=(plain(), to_ascii(generate_level(3, 0, 5, width=WIDTH - 50))), preset="thesis", actions="all")
+begun = jax.jit(lambda level: begin(ENV.course, level))
 
 
 @jax.jit
@@ -42,7 +43,7 @@ def test_what_is_foreseen_is_what_the_engine_does():
     """Bit for bit in every field of a game with monsters, to its end; a death alone has no price."""
     generator, deaths = np.random.default_rng(2), 0
     for _ in range(4):
-        start = episode = begin(ENV.course, HARD)
+        start = episode = begun(HARD)
         terminated = False
         while not terminated:
             action = jnp.int32(generator.choice([RUN, RUN, 11, 11, 9, 3, 0]))
@@ -58,7 +59,7 @@ def test_what_is_foreseen_is_what_the_engine_does():
 @pytest.mark.slow
 def test_a_run_in_the_open_costs_what_was_estimated_from_its_start():
     """The estimate falls by 1 in every step at full speed, at every velocity, and by less otherwise."""
-    start = begin(ENV.course, PLAIN)
+    start = begun(PLAIN)
     for _ in range(3):  # until he has landed and the speed key is held
         start, *_ = step(start, start, jnp.int32(RUN))
     _, _, _, _, _, estimate, x = step(start, start, jnp.int32(RUN))
@@ -79,7 +80,7 @@ def test_a_run_in_the_open_costs_what_was_estimated_from_its_start():
 
 @pytest.mark.slow
 def test_the_exit_is_a_goal():
-    start = episode = begin(ENV.course, PLAIN)
+    start = episode = begun(PLAIN)
     estimate, terminated, info = 1.0, False, {}
     while not terminated:
         assert float(estimate) > 0
@@ -104,7 +105,7 @@ def test_power_is_what_a_change_leads_to():
 
 
 def test_places_tell_cells_and_depths_apart():
-    start = begin(ENV.course, PLAIN)
+    start = unbegun(ENV.course, PLAIN)
     simulator = Simulator(ENV, start, 1000, horizon=20, damage_cost=20.0)
     rows, columns = 36, 48  # 288 pixels from top to bottom, 384 from left to right, in cells of 8
 

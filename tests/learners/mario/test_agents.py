@@ -9,7 +9,7 @@ import pytest
 
 import hrljax as hrl
 from hrljax.core.random import WORD_RANGE
-from hrljax.envs.mario.competition import begin
+from hrljax.envs.mario.competition import begin, unbegun
 from hrljax.envs.mario.env import Mario
 from hrljax.learners.base import LearnerState, Transition
 from hrljax.learners.mario.nearest_things import NearestThingsSARSA
@@ -23,14 +23,14 @@ ENV = Mario(seeds=(2,), difficulty=5, preset="thesis")
 def trials(agent: SampleAgent, count: int, seed: int) -> list[list[int]]:
     """The actions of some trials, one after the other."""
     generator, prepared = np.random.default_rng(seed), agent.prepare(ENV)
-    state = agent.init(ENV, prepared)
+    state, first = agent.init(ENV, prepared), jax.jit(lambda: begin(ENV.course, 0))()
 
     def word() -> jax.Array:
         return jnp.uint32(generator.integers(WORD_RANGE))
 
     @jax.jit
     def start(tables: Any, word: jax.Array):
-        return agent.begin(prepared, tables, begin(ENV.course, 0), (word,), learning())
+        return agent.begin(prepared, tables, first, (word,), learning())
 
     @jax.jit
     def step(state: LearnerState, episode: Any, word: jax.Array):
@@ -42,7 +42,7 @@ def trials(agent: SampleAgent, count: int, seed: int) -> list[list[int]]:
     played = []
     for _ in range(count):
         state = state._replace(control=start(state.tables, word()))
-        episode, terminated, actions = begin(ENV.course, 0), False, []
+        episode, terminated, actions = first, False, []
         while not terminated:
             state, episode, action, terminated = step(state, episode, word())
             actions.append(int(action))
@@ -73,7 +73,7 @@ def test_nearest_things_are_paid_for_every_ten_tiles():
     learner = NearestThingsSARSA(step_size=0.5, discount=0.0, epsilon=0.0, interval_reward=10.0)
     assert learner.concepts == NearestThings(3)
     prepared = learner.prepare(ENV)
-    start = begin(ENV.course, 0)
+    start = unbegun(ENV.course, 0)
     action = jnp.int32(4)
 
     @jax.jit
