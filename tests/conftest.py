@@ -1,4 +1,6 @@
-"""Strictness for every test, and the Bus domain that many of them share."""
+"""Strictness for every test, the Bus domain that many of them share, and a compiler for what is hardly run."""
+
+from collections.abc import Iterator
 
 import jax
 import pytest
@@ -18,3 +20,11 @@ def bus() -> Bus:
 @pytest.fixture(scope="session")
 def bus_model(bus: Bus) -> Model:
     return bus.model()
+
+
+@pytest.fixture
+def quick_compiler() -> Iterator[None]:
+    """For what takes long to compile and is not run for long."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

@@ -1,9 +1,8 @@
-"""The walker, registered for one test at a time, and a compiler for what is hardly run."""
+"""The walker, registered for one test at a time."""
 
 from collections.abc import Iterator
 
 import gymnasium
-import jax
 import pytest
 
 import hrljax as hrl
@@ -17,11 +16,3 @@ def walker_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     hrl.register("Walker", Walker)
     yield "hrljax/Walker-v0"
     del gymnasium.registry["hrljax/Walker-v0"]
-
-
-@pytest.fixture
-def quick_compiler() -> Iterator[None]:
-    """Mario's step takes long to compile and is not run for long here."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)

@@ -126,8 +126,15 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("which", ROOTS)
+@pytest.mark.parametrize(
+    ("case", "which"),
+    [
+        ("HORDQ", "RL-DT"),
+        ("shared", "linear"),
+        pytest.param("HORDQ", "linear", marks=pytest.mark.slow),
+        pytest.param("shared", "RL-DT", marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_gives_the_numbers_of_plain_python(case: str, which: str):
     where, kind, options = CASES[case]
     domain, (root, plain_root) = DOMAINS[where], ROOTS[which]

@@ -86,6 +86,7 @@ def test_with_primitive_options_alone_it_is_dyna_q():
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping():
     learner = HDyna(random_options(True), **NUMBERS, planning_steps=3)
     options = {"seeds": 3, "num_episodes": 12, "bin_size": 1, "params": PARAMS, "progress": False}
