@@ -191,6 +191,21 @@ def linear_dyna() -> Figure:
     return figure
 
 
+def biased_roots() -> Figure:
+    """HORDQ under roots whose models are biased."""
+    env = hrl.make("Bus")
+    subtasks = {"hierarchy": env.hierarchy(), "initial_value": -25.0}
+    trees = hrl.RLDTRoot(refit_interval=2000, planning_sweeps=50, max_rewards=8)
+    linear = hrl.LinearRoot(hrl.variable_features(env))
+    learners = {
+        "shared HORDQ, RL-DT root": hrl.SharedHORDQ(root=trees, **subtasks),
+        "shared HORDQ, linear root": hrl.SharedHORDQ(root=linear, **subtasks),
+        "HORDQ, pseudo_reward=5, linear root": hrl.HORDQ(root=linear, pseudo_reward=5.0, **subtasks),
+        "Q-learning": hrl.QLearning(initial_value=-25.0),
+    }
+    return curves(env, learners, 20_000, window=1000, lowest=-60, title="Bus", seeds=4)
+
+
 def feudal_q() -> Figure:
     learners = {
         "feudal Q-learning, 3 scales": hrl.FeudalQ(step_size=0.5),
@@ -261,6 +276,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         discovered_options,
         h_dyna,
         linear_dyna,
+        biased_roots,
         feudal_q,
         hamq,
         maxq,
