@@ -13,7 +13,7 @@ from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
 from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words, outside_of_training
 from hrljax.learners.features import Features, features_for, one_each
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option
 from hrljax.learners.linear_model import LinearModel, LinearTables, Outcome
 
 Planning = Literal["mg", "random"]
@@ -39,12 +39,12 @@ class LinearDyna(Learner[LinearModel, LinearTables, Array]):
             values and models are tables.
         step_size: alpha in (0, 1], or a schedule of the episode; of values, from real steps and planned ones.
         model_step_size: beta in (0, 1], or a schedule of the episode.
-        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one,
-            of equally good ones the first.
+        epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one.
         discount: g in [0, 1].
         initial_value: of every state and every action.
         planning_steps: features swept from, or backed up, after every real step; at least 0.
         planning: ``"mg"`` or ``"random"``.
+        ties: as of `QLearning`.
     """
 
     features: Features | None = None
@@ -55,6 +55,7 @@ class LinearDyna(Learner[LinearModel, LinearTables, Array]):
     initial_value: Hyperparameter = hyperparameter(0.0)
     planning_steps: int = 1
     planning: Planning = "mg"
+    ties: choices.Ties = later_option("first")
 
     name = "linear Dyna"
     num_begin_words = 1
@@ -66,6 +67,7 @@ class LinearDyna(Learner[LinearModel, LinearTables, Array]):
             checks.instance("LinearDyna: features", self.features, Features, what)
         self._check_integer("planning_steps", 0)
         self._check_choice("planning", Planning)
+        self._check_choice("ties", choices.Ties)
 
     @property
     def num_words(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride] (depends on fields)
@@ -120,4 +122,5 @@ class LinearDyna(Learner[LinearModel, LinearTables, Array]):
     def _chosen(self, model: LinearModel, tables: LinearTables, state: Array, word: Array, context: Context) -> Array:
         values = model.action_values(tables, model.features.of(state), context)
         epsilon = at_episode(self.epsilon, context.episode)
-        return choices.epsilon_greedy(choices.greedy(values)[0], len(values), word, epsilon)
+        greedy = choices.greedy_by(self.ties, values, choices.greedy(values)[0], word)
+        return choices.epsilon_greedy(greedy, len(values), word, epsilon)

@@ -22,6 +22,7 @@ LEARNERS = {
     "Q(lambda)": hrl.QLambda,
     "Dyna-Q": hrl.DynaQ,
     "R-MAX": hrl.RMax,
+    "linear Dyna": lambda **options: hrl.LinearDyna(hrl.variable_features(SMALL), **options),
     "options": lambda **options: hrl.OptionQ(hrl.primitive_options(SMALL), **options),
     "HORDQ": lambda **options: hrl.HORDQ(SMALL.hierarchy(), **options),
     "shared HORDQ": lambda **options: hrl.SharedHORDQ(SMALL.hierarchy(), **options),
