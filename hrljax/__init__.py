@@ -35,10 +35,12 @@ from hrljax.learners.options.definition import Options, options_from, primitive_
 from hrljax.learners.options.discovery import bottleneck_options, eigen_options  # noqa: E402
 from hrljax.learners.options.h_dyna import HDyna  # noqa: E402
 from hrljax.learners.options.learner import OptionQ  # noqa: E402
+from hrljax.learners.relational.a_star_root import AStarRoot  # noqa: E402
 from hrljax.learners.relational.encounter_model import MarioEncounters  # noqa: E402
 from hrljax.learners.relational.given_model import MarioDynamics  # noqa: E402
 from hrljax.learners.relational.learned_model import MarioModel  # noqa: E402
 from hrljax.learners.relational.learner import RelationalHORDQ  # noqa: E402
+from hrljax.learners.relational.memory_model import MarioMemory  # noqa: E402
 from hrljax.learners.relational.multiway_model import MultiwayModel  # noqa: E402
 from hrljax.learners.relational.search_root import SearchRoot  # noqa: E402
 from hrljax.learners.rldt import RLDT, SPITI  # noqa: E402
@@ -74,6 +76,7 @@ __all__ = [
     "RLDT",
     "SARSA",
     "SPITI",
+    "AStarRoot",
     "Abstraction",
     "CSVLog",
     "DynaQ",
@@ -90,6 +93,7 @@ __all__ = [
     "MarioAStar",
     "MarioDynamics",
     "MarioEncounters",
+    "MarioMemory",
     "MarioModel",
     "ModelRoot",
     "MultiwayModel",

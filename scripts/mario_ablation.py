@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import interruptible  # noqa: F401
 
@@ -10,11 +11,13 @@ from hrljax.experiments import mario_ablation, program
 
 @dataclass(frozen=True)
 class Options:
-    """Model+HORDQ on the thesis's level, with one change at a time to its search, its trees or the game.
+    """Model+HORDQ on the thesis's level, with one change at a time to its search, its trees, its values or the game.
 
     Writes summary.json: a list of rows as of scripts/table_4_1.py.
     """
 
+    of: Literal["thesis", "best"] = "thesis"
+    """What is changed: the thesis's design, or the best configuration that was found with a learned model."""
     seeds: int = 4
     """Runs of each row."""
     episodes: int = 500
@@ -22,7 +25,7 @@ class Options:
     only: tuple[str, ...] = ()
     """Names of the rows to run; all if not given."""
     pseudo_reward: float = 10.0
-    """What following the root is worth."""
+    """What following the root is worth in the thesis's design."""
     out: Path = Path("runs/mario_ablation")
     """Folder for what is written."""
     cores: int | None = None
@@ -33,11 +36,11 @@ class Options:
 
 def main(options: Options) -> int:
     program.check_counts(options, "seeds", "episodes")
-    names = options.only or tuple(mario_ablation.CHANGES)
-    mario_ablation.check_names(names)
+    names = options.only or mario_ablation.names_of(options.of)
+    mario_ablation.check_names(names, options.of)
     options.out.mkdir(parents=True, exist_ok=True)
     details = mario_ablation.rows(
-        names, options.seeds, options.episodes, options.pseudo_reward, cores=options.cores, key=options.key
+        names, options.seeds, options.episodes, options.pseudo_reward, options.of, cores=options.cores, key=options.key
     )
     rows = []
     for row in program.until_interrupted(details):

@@ -14,7 +14,7 @@ from hrljax.experiments import mario_hybrid, program
 from hrljax.experiments.mario_search_picture import largest_search, search_picture
 from hrljax.experiments.rows import curves_csv
 from hrljax.learners.relational.learner import RelationalHORDQ
-from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.learners.relational.search_root import PlanningRoot
 from hrljax.sweeps import io
 
 COMPARED = mario_hybrid.name_of(10.0)
@@ -40,12 +40,14 @@ class Options:
     """Pseudo-rewards of Model+HORDQ; a million stands for the model alone."""
     model: Literal["learned", "remembers", "given"] = "learned"
     """The root: the thesis's regression trees, the best learned model, or Mario's own dynamics, given."""
-    best: bool = True
-    """Whether to run the best configurations that were found, too, with a given and with a learned model."""
+    best: tuple[Literal["given", "learned"], ...] = ("given", "learned")
+    """With which kinds of models to run the best configuration that was found, too."""
     film: bool = True
     """Whether to make the film and the picture of a search."""
     out: Path = Path("runs/table_4_1")
     """Folder for what is written."""
+    stores: Path | None = None
+    """Folder that keeps every finished run; what is in it of the same settings is not run again."""
     cores: int | None = None
     """Cores to use; all if not given."""
     key: int = 0
@@ -62,16 +64,16 @@ def main(options: Options) -> int:
         options.seeds,
         options.episodes,
         options.pseudo_rewards,
-        options.best,
+        [f"best found, {kind} model" for kind in options.best],
+        options.stores,
         cores=options.cores,
         key=options.key,
     )
     curves, rows = {}, []
-    for of_sweep in program.until_interrupted(runs):
-        for name, dataset in of_sweep.items():
-            io.save(dataset, options.out / "curves" / f"{len(curves):02d}.zarr")
-            curves[name] = dataset
-            rows.append(mario_hybrid.summary_row(name, dataset))
+    for name, dataset in program.until_interrupted(runs):
+        io.save(dataset, options.out / "curves" / f"{len(curves):02d}.zarr")
+        curves[name] = dataset
+        rows.append(mario_hybrid.summary_row(name, dataset))
     if not rows:
         return program.ended(options.out)
     ahead = mario_hybrid.differences(curves, COMPARED) if COMPARED in curves else {}
@@ -80,7 +82,7 @@ def main(options: Options) -> int:
     program.write_summary(options.out, rows)
     (options.out / "table_4_1.csv").write_text(curves_csv(("", name, dataset) for name, dataset in curves.items()))
     mario_hybrid.counts_picture(rows).savefig(options.out / "table_4_1.png", dpi=110)
-    shown = {name: curves[name] for name in (*mario_hybrid.THESIS, *mario_hybrid.BY_SWEEPS) if name in curves}
+    shown = {name: curves[name] for name in (*mario_hybrid.THESIS, *mario_hybrid.BEST) if name in curves}
     mario_hybrid.distance_picture(shown).savefig(options.out / "figure_4_5.png", dpi=110)
     print(mario_hybrid.table(rows))
     if ahead:
@@ -100,10 +102,10 @@ def _pictures(env: Mario, learner: RelationalHORDQ, options: Options) -> Iterato
     yield search_picture(agent, game, largest_search(agent, game))
 
 
-def _learner(name: str, root: SearchRoot, options: Options) -> RelationalHORDQ:
+def _learner(name: str, root: PlanningRoot, options: Options) -> RelationalHORDQ:
     """The learner of a row that has a root to look into; the model alone in place of SARSA."""
-    if name in mario_hybrid.BY_SWEEPS:
-        return mario_hybrid.BY_SWEEPS[name]
+    if name in mario_hybrid.BEST:
+        return mario_hybrid.BEST[name]
     named = {mario_hybrid.name_of(k): k for k in options.pseudo_rewards}
     return RelationalHORDQ(root, pseudo_reward=named.get(name, mario_hybrid.FOLLOWS))
 

@@ -1,9 +1,9 @@
-"""Which of the details that the thesis leaves open moves the hybrid with a learned model: one change at a time."""
+"""What moves the hybrid with a learned model, one change at a time: to the thesis's design, or to the best found."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from hrljax.envs.mario.env import Mario
 from hrljax.experiments import mario_hybrid
@@ -11,6 +11,7 @@ from hrljax.experiments.mario_search import UNLIMITED
 from hrljax.experiments.rows import Row
 from hrljax.learners.relational.learned_model import MarioModel
 from hrljax.learners.relational.learner import RelationalHORDQ
+from hrljax.learners.relational.multiway_model import MultiwayModel
 from hrljax.learners.relational.search_root import SearchRoot
 from hrljax.sweeps.sweep import sweep
 
@@ -64,27 +65,63 @@ CHANGES = {
 }
 
 
-def check_names(names: Iterable[str]) -> None:
+def _best(
+    root: Mapping[str, Any] | None = None, model: Mapping[str, Any] | None = None, **learner: Any
+) -> RelationalHORDQ:
+    """The best configuration with a learned model, but for some settings."""
+    base = mario_hybrid.ROOTS["remembers"]
+    assert isinstance(base.model, MultiwayModel)
+    changed = dataclasses.replace(base, model=dataclasses.replace(base.model, **(model or {})), **(root or {}))
+    return dataclasses.replace(mario_hybrid.BEST_LEARNED, root=changed, **learner)
+
+
+OF_BEST = {
+    "as it is": _best(),
+    "without memory": _best(model={"memory": False}),
+    "nothing after a plan": _best(model={"death_decay": 0.0}),
+    "no pessimism": _best(model={"pessimism": 0.0}),
+    "any node answers": _best(root={"answer": "any"}),
+    "300 nodes": _best(root={"max_nodes": 300}),
+    "cumulative reward first": _best(root={"priority": "cumulative"}),
+    "a bias for every action": _best(bias="own"),
+    "no traces": _best(trace_length=0, trace_decay=0.0),
+    "step size that fades": _best(step_size=mario_hybrid.BEST_VALUES.step_size),
+}
+"""What the best configuration with a learned model depends on, one change at a time."""
+
+
+def names_of(of: Literal["thesis", "best"]) -> tuple[str, ...]:
+    """The changes to the thesis's design, or to the best configuration with a learned model."""
+    return tuple(CHANGES if of == "thesis" else OF_BEST)
+
+
+def check_names(names: Iterable[str], of: Literal["thesis", "best"]) -> None:
     """Raises ValueError for a name that no change has."""
     for name in names:
-        if name not in CHANGES:
-            raise ValueError(f"there is no change {name!r}, only {', '.join(map(repr, CHANGES))}")
+        if name not in names_of(of):
+            raise ValueError(f"there is no change {name!r}, only {', '.join(map(repr, names_of(of)))}")
 
 
 def rows(
-    names: Sequence[str], seeds: int, num_episodes: int, pseudo_reward: float = 10.0, **options: Any
+    names: Sequence[str],
+    seeds: int,
+    num_episodes: int,
+    pseudo_reward: float = 10.0,
+    of: Literal["thesis", "best"] = "thesis",
+    **options: Any,
 ) -> Iterator[Row]:
-    """What Model+HORDQ does with each of some `CHANGES`, as of `mario_hybrid.summary_row`.
+    """What Model+HORDQ does with each of some `CHANGES` or of `OF_BEST`, as of `mario_hybrid.summary_row`.
 
-    Ends after a row whose runs were interrupted. `options` are of `hrljax.sweep`.
+    Ends after a row whose runs were interrupted. `pseudo_reward` is the thesis's; `options` are of `hrljax.sweep`.
 
     Raises:
         ValueError: there is no change of a name.
     """
-    check_names(names)
+    check_names(names, of)
     for name in names:
-        change = CHANGES[name]
-        learner = RelationalHORDQ(change.search_root(), pseudo_reward=pseudo_reward)
+        change = CHANGES[name] if of == "thesis" else Change()
+        learner = OF_BEST[name] if of == "best" else None
+        learner = learner or RelationalHORDQ(change.search_root(), pseudo_reward=pseudo_reward)
         env, axes = change.environment(), {f"env.{param}": [value] for param, value in change.params.items()}
         curves = sweep(
             env, learner, seeds=seeds, num_episodes=num_episodes, bin_size=1, chunk_size=1, axes=axes, **options

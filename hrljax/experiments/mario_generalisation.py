@@ -23,9 +23,9 @@ from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.rows import Row, interval_row
 from hrljax.learners.base import AnyLearner, Context
+from hrljax.learners.relational.a_star_root import AStarRoot
 from hrljax.learners.relational.encounter_model import MarioEncounters
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
-from hrljax.learners.relational.search_root import SearchRoot
 from hrljax.sweeps.learned import Learned
 from hrljax.sweeps.sweep import sweep
 
@@ -69,14 +69,10 @@ _COUNTED = ("win", "distance", "length", "return")
 _EXIT_DISTANCE = 316
 """About how many tiles lie between the start of a level and its exit."""
 UNTRAINED = "nothing: the model alone"
-ENCOUNTERS = RelationalHORDQ(
-    SearchRoot(stop_reward=12.0, model=MarioEncounters(), max_nodes=600, priority="last_reward", answer="leaf"),
-    pseudo_reward=mario_hybrid.FOLLOWS,
-    discount=0.9,
-)
-"""The model of Mario alone, which learns what it is to meet things; the search is the best configuration's."""
-LEARNERS = {"values": mario_hybrid.BEST, "encounters": ENCOUNTERS}
-"""What learns: values of things in the learner under the best configuration's search, or encounters in its model."""
+ENCOUNTERS = RelationalHORDQ(AStarRoot(model=MarioEncounters()), pseudo_reward=mario_hybrid.FOLLOWS, discount=0.9)
+"""A* on the model of Mario alone, which learns what it is to meet things."""
+LEARNERS = {"values": mario_hybrid.BEST_VALUES, "encounters": ENCOUNTERS}
+"""What learns: values of things, in the learner under a search of a few steps, or encounters, in the model of A*."""
 
 
 def frozen(learner: RelationalHORDQ) -> RelationalHORDQ:

@@ -23,10 +23,13 @@ from hrljax.envs.mario.play import Action, Policy, Step, play
 from hrljax.experiments.rows import Row, interval_row
 from hrljax.learners.base import Context
 from hrljax.learners.hyperparameters import with_tabulated_schedules
+from hrljax.learners.relational.a_star_root import AStarRoot
 from hrljax.learners.relational.given_model import MarioDynamics
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
+from hrljax.learners.relational.memory_model import MarioMemory
 from hrljax.learners.relational.multiway_model import MultiwayModel
-from hrljax.learners.relational.search_root import SearchRoot
+from hrljax.learners.relational.search_root import PlanningRoot, SearchRoot
+from hrljax.search.a_star import AStarResult
 from hrljax.search.best_first import SearchResult
 from hrljax.sweeps.sweep import sweep
 
@@ -56,7 +59,7 @@ ROOTS = {
 }
 """The thesis's root, which learns its model; one that is given Mario's own dynamics in a level without things; and one
 with the thesis's inputs and the best learned model that was found: whole plans on Orange's trees, and a memory."""
-BEST = RelationalHORDQ(
+BEST_VALUES = RelationalHORDQ(
     SearchRoot(stop_reward=12.0, model=MarioDynamics(), max_nodes=600, priority="last_reward", answer="leaf"),
     pseudo_reward=15.0,
     step_size=_halved(0.1, every=100, end=0.01),
@@ -65,18 +68,21 @@ BEST = RelationalHORDQ(
     trace_decay=0.8,
     trace_length=12,
 )
-"""The best configuration with a given model that was found by sweeps on this level: not the thesis's."""
+"""The best learner of values over the given model that was found by sweeps on this level: not the thesis's."""
+BEST_GIVEN = RelationalHORDQ(
+    AStarRoot(model=MarioMemory()), pseudo_reward=FOLLOWS, epsilon=_halved(0.01, every=50, end=0.00001)
+)
+"""A* on the given model, which learns what it is to meet things and remembers: the best found with a given model."""
 BEST_LEARNED = replace(
-    BEST,
+    BEST_VALUES,
     root=ROOTS["remembers"],
     step_size=0.1,
     epsilon=_halved(0.01, every=50, end=0.00001),
     bias="shared",
 )
 """The best configuration with a learned model that was found."""
-BEST_NAME = "best found"
-BY_SWEEPS = {BEST_NAME: BEST, "best found, learned model": BEST_LEARNED}
-"""By name what was found by sweeps."""
+BEST = {"best found, given model": BEST_GIVEN, "best found, learned model": BEST_LEARNED}
+"""By name the best that was found."""
 
 
 def environment() -> Mario:
@@ -90,31 +96,33 @@ def name_of(pseudo_reward: float) -> str:
 
 def run(
     env: Mario,
-    root: SearchRoot,
+    root: PlanningRoot,
     seeds: int,
     num_episodes: int,
     pseudo_rewards: Iterable[float],
-    best: bool = False,
+    best: Iterable[str] = (),
+    stores: Path | None = None,
     **options: Any,
-) -> Iterator[dict[str, xr.Dataset]]:
-    """Every method's curve, one bin an episode, sweep by sweep, `BY_SWEEPS` at last; `options` as of `hrljax.sweep`.
+) -> Iterator[tuple[str, xr.Dataset]]:
+    """Every method's name and curve, one bin an episode, those of `BEST` that are named at last; `options` as of
+    `hrljax.sweep`.
 
-    Ends with a sweep that was interrupted, of which it gives the methods that have finished runs.
+    Runs are kept in `stores`, a store for each method, and those that are there are not run again. Ends with a method
+    that was interrupted.
     """
-    common = {"seeds": seeds, "num_episodes": num_episodes, "bin_size": 1, "chunk_size": 1, **options}
-    sarsa = sweep(env, RelationalHORDQ(), **common)
-    yield {"SARSA": sarsa}
-    complete, axis = sarsa.attrs["complete"], [*pseudo_rewards]
-    if complete and axis:
-        hybrid = sweep(env, RelationalHORDQ(root), axes={"pseudo_reward": axis}, **common)
-        curves = {name_of(k): hybrid.sel(pseudo_reward=k) for k in axis}
-        yield {name: curve for name, curve in curves.items() if curve["steps"].notnull().any()}
-        complete = hybrid.attrs["complete"]
-    for name, learner in BY_SWEEPS.items() if best else ():
-        if complete:
-            curves = sweep(env, learner, **common)
-            yield {name: curves}
-            complete = curves.attrs["complete"]
+    hybrid = RelationalHORDQ(root)
+    methods: list[tuple[str, RelationalHORDQ, list[float]]] = [("SARSA", RelationalHORDQ(), [])]
+    methods += [(name_of(k), hybrid, [k]) for k in pseudo_rewards]
+    methods += [(name, BEST[name], []) for name in best]
+    for name, learner, pseudo_reward in methods:
+        # An axis of one value is no constant of the program, which is the same for every pseudo-reward.
+        axes = {"pseudo_reward": pseudo_reward} if pseudo_reward else None
+        store = stores and stores / f"{name}.zarr"
+        common = {"seeds": seeds, "num_episodes": num_episodes, "bin_size": 1, "chunk_size": 1, **options}
+        curve = sweep(env, learner, axes=axes, store=store, **common)
+        yield name, curve.squeeze("pseudo_reward") if axes else curve
+        if not curve.attrs["complete"]:
+            return
 
 
 def summary_row(name: str, dataset: xr.Dataset) -> Row:
@@ -210,7 +218,7 @@ class Agent:
             context = Context(jnp.int32(0), jnp.bool_(True), opaque_zero(word))
             return settled.begin(prepared, tables, episode, (word,), context).action
 
-        def search(tables: Tables, episode: Episode) -> SearchResult:
+        def search(tables: Tables, episode: Episode) -> SearchResult | AStarResult:
             assert learner.root is not None
             return learner.root.search(env, tables.root, episode)
 

@@ -1,6 +1,7 @@
 """A search drawn on the level: its tree, its plan, and where Mario really went (thesis Figure 4.3(b))."""
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
 
 import jax
 import numpy as np
@@ -14,6 +15,7 @@ from hrljax.envs.mario.drawing import picture
 from hrljax.envs.mario.levels.tiles import TILE
 from hrljax.envs.mario.play import Step
 from hrljax.experiments.mario_hybrid import Agent
+from hrljax.search.a_star import AStarResult
 from hrljax.search.best_first import SearchResult
 from hrljax.search.nodes import edges, to_nodes
 
@@ -24,6 +26,40 @@ _MARGIN = 2
 _EDGE, _REAL = "0.1", plots.COLOURS[0]
 
 
+class Looked(NamedTuple):
+    """What is drawn of a search."""
+
+    places: np.ndarray  # [N, 2]: of the nodes, in pixels of the game
+    edges: np.ndarray  # [N - 1, 2]: parent and child
+    values: Any  # [N]
+    plan: list[int]  # the nodes from the root on
+    title: str
+    meaning: str  # of the values
+
+
+def looked_at(result: SearchResult | AStarResult) -> Looked:
+    """What is drawn of a search; of A* the nodes that were expanded."""
+    result = cast(SearchResult | AStarResult, jax.tree.map(np.asarray, result))
+    if isinstance(result, SearchResult):
+        tree, count = result.tree, int(result.tree.num_nodes)
+        plan = [node.index for node in to_nodes(tree)[int(result.node)].path()]
+        title = f"{count - 1} nodes; the plan promises {float(result.value):+.2f}"
+        return Looked(
+            _places(tree.state, count), edges(tree), tree.value[:count], plan, title, "predicted return of a node"
+        )
+    nodes, count, plan = result.nodes, int(result.num_expanded), [0]
+    for action in result.actions[: int(result.length)]:
+        next_one = np.flatnonzero((nodes.parent[:count] == plan[-1]) & (nodes.action[:count] == action))
+        plan += next_one[:1].tolist()  # the end of a plan is not expanded
+    both = np.stack([nodes.parent[1:count], np.arange(1, count)], axis=1)
+    title = f"{count} nodes expanded; the plan costs {float(result.cost):.1f} steps"
+    return Looked(_places(nodes.state, count), both, nodes.cost[:count], plan, title, "steps to a node")
+
+
+def _places(state: Any, count: int) -> np.ndarray:
+    return np.stack([state.x, state.y], axis=1)[:count]
+
+
 def largest_search(agent: Agent, game: Sequence[Step]) -> int:
     """The step of a game after which the search has the most nodes, the first of equals.
 
@@ -31,7 +67,7 @@ def largest_search(agent: Agent, game: Sequence[Step]) -> int:
         ValueError: the game has no step after which it goes on.
     """
     sizes = {
-        number: int(agent.search(agent.tables, step.episode).tree.num_nodes)
+        number: len(looked_at(agent.search(agent.tables, step.episode)).places)
         for number, step in enumerate(game)
         if int(step.episode.phase) == PLAYING
     }
@@ -43,32 +79,19 @@ def largest_search(agent: Agent, game: Sequence[Step]) -> int:
 def search_picture(agent: Agent, game: Sequence[Step], step: int) -> Figure:
     """The search after a step of a game, its plan, and the steps that really followed, as many as the plan has."""
     episode = game[step].episode
-    searched = jax.device_get(agent.search(agent.tables, episode))
-    followed = [other.episode for other in game[step : step + 1 + int(searched.length)]]
-    places = np.stack([searched.tree.state.x, searched.tree.state.y], axis=1)[: int(searched.tree.num_nodes)]
+    result = agent.search(agent.tables, episode)
+    searched = looked_at(result)
+    followed = [other.episode for other in game[step : step + 1 + int(result.length)]]
     really = np.array([[float(other.world.player.x), float(other.world.player.y)] for other in followed])
-    columns = _columns(agent, episode, np.concatenate([places, really])[:, 0])
-    return _drawn(agent, episode, searched, places, really, columns)
-
-
-def _drawn(
-    agent: Agent,
-    episode: Episode,
-    searched: SearchResult,
-    places: np.ndarray,
-    really: np.ndarray,
-    columns: tuple[int, int],
-) -> Figure:
+    columns = _columns(agent, episode, np.concatenate([searched.places, really])[:, 0])
     shown = picture.screen(agent.env.course, episode.world, _PIXELS, status=False, columns=columns)
     figure = Figure(figsize=(12, 12 * shown.shape[0] / shown.shape[1] + 0.9), layout="constrained")
     ax = figure.subplots()
     ax.imshow(shown)
-    nodes = _points(places, columns)
-    ax.add_collection(LineCollection(list(nodes[edges(searched.tree)]), colors=_EDGE, linewidths=0.6, alpha=0.6))
-    values = np.asarray(searched.tree.value)[: len(nodes)]
-    dots = ax.scatter(*nodes.T, c=values, s=16, cmap="viridis", edgecolors=_EDGE, linewidths=0.3, zorder=3)
-    plan = [node.index for node in to_nodes(searched.tree)[int(searched.node)].path()]
-    ax.plot(*nodes[plan].T, "o-", color=plots.COLOURS[1], lw=2.5, ms=6, zorder=5)
+    nodes = _points(searched.places, columns)
+    ax.add_collection(LineCollection(list(nodes[searched.edges]), colors=_EDGE, linewidths=0.6, alpha=0.6))
+    dots = ax.scatter(*nodes.T, c=searched.values, s=16, cmap="viridis", edgecolors=_EDGE, linewidths=0.3, zorder=3)
+    ax.plot(*nodes[searched.plan].T, "o-", color=plots.COLOURS[1], lw=2.5, ms=6, zorder=5)
     ax.plot(*_points(really, columns).T, "s--", color=_REAL, lw=2, ms=5, mfc="none", zorder=6)
     ax.legend(
         handles=[
@@ -78,9 +101,9 @@ def _drawn(
         ],
         loc="upper left",
     )
-    figure.colorbar(dots, ax=ax, shrink=0.8, pad=0.01, label="predicted return of a node")
+    figure.colorbar(dots, ax=ax, shrink=0.8, pad=0.01, label=searched.meaning)
     ax.set(xlim=(0, shown.shape[1]), ylim=(shown.shape[0], 0))
-    ax.set_title(f"{len(nodes) - 1} nodes; the plan promises {float(searched.value):+.2f}")
+    ax.set_title(searched.title)
     ax.set_axis_off()
     return figure
 

@@ -78,5 +78,5 @@ def test_rows_are_means_over_levels_and_intervals_over_seeds():
 def test_the_model_alone_is_not_trained(monkeypatch):
     monkeypatch.setattr(generalisation, "trained_tables", lambda *args, **kwargs: pytest.fail("trained"))
     played = generalisation.LevelSet((0,), (0,), each=1, first_seed=5)
-    ((row,),) = generalisation.rows([], played, mario_hybrid.BEST, seeds=3, num_episodes=1, cores=1)
+    ((row,),) = generalisation.rows([], played, mario_hybrid.BEST_VALUES, seeds=3, num_episodes=1, cores=1)
     assert (row["trained_on"], row["seeds"], row["levels"]) == (generalisation.UNTRAINED, 1, 1)

@@ -98,6 +98,16 @@ def test_an_ablation_changes_what_it_says_and_nothing_else():
         assert bool(change.env or change.params) == (name in in_the_game)
 
 
+def test_every_change_to_the_best_configuration_is_one():
+    of_best = dict(mario_ablation.OF_BEST)
+    assert of_best.pop("as it is") == mario_hybrid.BEST_LEARNED
+    for learner in of_best.values():
+        best = mario_hybrid.BEST_LEARNED
+        differ = [name for name, value in vars(best).items() if value != getattr(learner, name)]
+        assert len(differ) == 1 or sorted(differ) == ["trace_decay", "trace_length"]
+    assert len(set(of_best.values())) == len(of_best)
+
+
 def test_an_ablations_table_has_a_line_for_every_row():
     rows = [mario_hybrid.summary_row(name, curve([[0, 1], [1, 1]])) for name in ("quantum 16", "1000 nodes")]
     lines = mario_ablation.table(rows).splitlines()
@@ -109,11 +119,10 @@ def test_a_film_is_of_a_learner_with_a_root():
     script = runpy.run_path(str(SCRIPTS / "table_4_1.py"))
     options = script["Options"](pseudo_rewards=(10.0,), model="given")
     root = mario_hybrid.ROOTS["given"]
-    found = ("best found", "best found, learned model")
-    of = {name: script["_learner"](name, root, options) for name in ("SARSA", "Model+HORDQ(10)", *found)}
+    of = {name: script["_learner"](name, root, options) for name in ("SARSA", "Model+HORDQ(10)", *mario_hybrid.BEST)}
     assert of["SARSA"] == RelationalHORDQ(root, pseudo_reward=mario_hybrid.FOLLOWS)
     assert of["Model+HORDQ(10)"] == RelationalHORDQ(root, pseudo_reward=10.0)
-    assert [of[name] for name in found] == [mario_hybrid.BEST, mario_hybrid.BEST_LEARNED]
+    assert [of[name] for name in mario_hybrid.BEST] == [mario_hybrid.BEST_GIVEN, mario_hybrid.BEST_LEARNED]
 
 
 @pytest.mark.parametrize(

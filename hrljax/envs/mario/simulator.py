@@ -1,13 +1,6 @@
 """The game itself as a planner's model: whole episodes as states, monsters included (Baumgarten 2009).
 
-Costs are steps of the competition. With the speed key Mario's velocity grows by 1.2 pixels a tick before he moves and
-is multiplied by 0.89 after it, so that his *reach*
-
-    x + (xa - 0.89 * 1.2 / 0.11) / 0.11
-
-grows by at most 1.2 / 0.11 = 10.9 pixels a tick, and by exactly that at every velocity as long as nothing is in his
-way: his distance at top speed, the run-up taken off. The speed key is up in one tick of five, so that a step is worth
-49.1 pixels.
+Costs are steps of the competition; what is left of the way is estimated as `hrljax.envs.mario.stretch` says.
 """
 
 from typing import NamedTuple
@@ -17,30 +10,10 @@ import numpy as np
 from jax import Array, lax
 
 from hrljax.core.numerics import exact_product, opaque_zero
-from hrljax.envs.mario.competition import TICKS, Episode, advance
-from hrljax.envs.mario.engine.player import FRICTION, RUN, WALK
+from hrljax.envs.mario.competition import Episode, advance
 from hrljax.envs.mario.engine.state import Player
 from hrljax.envs.mario.env import Mario
-from hrljax.envs.mario.levels.tiles import HEIGHT, TILE
-
-_LOSS = np.float32(1) - FRICTION
-TOP_SPEED = np.float32(FRICTION * RUN / _LOSS)
-"""Mario's greatest velocity between two moves, in pixels a tick."""
-TOP_STEP = np.float32(((TICKS - 1) * RUN + WALK) / _LOSS)
-"""By how many pixels his reach grows in a step at most."""
-_CELL = 8
-"""Pixels of a cell in which two positions at one time count as one."""
-_ABOVE = 2 * TILE
-"""Pixels above the level that have cells of their own."""
-_ROWS = ((HEIGHT + 1) * TILE + _ABOVE) // _CELL
-_BEHIND = 4 * TILE
-"""Pixels to the left of the start of a look-ahead that have cells of their own."""
-
-
-def reach(player: Player) -> Array:
-    """How far Mario would be, had he run at top speed all the time (float32, pixels)."""
-    zero = opaque_zero(lax.bitcast_convert_type(player.x, jnp.uint32))
-    return player.x + exact_product(np.float32(1 / _LOSS), player.xa - TOP_SPEED, zero)
+from hrljax.envs.mario.stretch import Stretch
 
 
 def power(player: Player) -> Array:
@@ -63,13 +36,13 @@ class Simulator(NamedTuple):
     horizon: int
     damage_cost: Array | float  # in steps, for every hit that Mario survives
 
+    @property
+    def _stretch(self) -> Stretch:
+        return Stretch(self.start.world.player, self.horizon)
+
     def num_places(self, depth: int) -> int:
         """How many numbers `place` gives at depths up to `depth`."""
-        return (depth + 1) * self._columns * _ROWS
-
-    @property
-    def _columns(self) -> int:
-        return (self.horizon * TILE + _BEHIND) // _CELL
+        return self._stretch.num_places(depth)
 
     def model(self, episode: Episode, action: Array) -> tuple[Episode, Array]:
         """The episode a step later, which costs 1, more after a hit, and infinity if Mario dies."""
@@ -81,17 +54,9 @@ class Simulator(NamedTuple):
         return after, lax.select(now.death_time > 0, jnp.float32(np.inf), cost)
 
     def estimate(self, episode: Episode) -> Array:
-        """Steps to the goal at top speed, the run-up included; 0 where Mario has won (float32)."""
-        player = episode.world.player
-        goal = reach(self.start.world.player) + np.float32(self.horizon * TILE)
-        steps = (goal - reach(player)) * np.float32(1 / TOP_STEP)
-        return lax.select(player.win_time > 0, jnp.float32(0), steps)
+        """Steps to the goal at top speed; 0 where Mario has won (float32)."""
+        return self._stretch.steps_left(episode.world.player)
 
     def place(self, episode: Episode, depth: Array) -> Array:
-        """The number of Mario's cell, of `_CELL` pixels, at a depth (int32)."""
-        player = episode.world.player
-        x = player.x - (self.start.world.player.x - np.float32(_BEHIND))
-        column = lax.clamp(jnp.int32(0), (x / np.float32(_CELL)).astype(jnp.int32), jnp.int32(self._columns - 1))
-        y = player.y + np.float32(_ABOVE)
-        row = lax.clamp(jnp.int32(0), (y / np.float32(_CELL)).astype(jnp.int32), jnp.int32(_ROWS - 1))
-        return (depth * np.int32(self._columns) + column) * np.int32(_ROWS) + row
+        """The number of Mario's cell at a depth (int32)."""
+        return self._stretch.place(episode.world.player, depth)

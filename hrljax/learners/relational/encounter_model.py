@@ -60,6 +60,18 @@ class Walk(NamedTuple):
     ticks: Array  # int32: since the moment of planning
 
     @property
+    def player(self) -> Player:
+        return self.runner.player
+
+    @property
+    def keys(self) -> Array:
+        return self.runner.keys
+
+    def at(self, player: Player) -> "Walk":
+        """The same moment with another Mario."""
+        return self._replace(runner=self.runner.at(player))
+
+    @property
     def x(self) -> Array:
         """In pixels."""
         return self.runner.x

@@ -41,6 +41,10 @@ class Runner(NamedTuple):
         """In pixels, downwards."""
         return self.player.y
 
+    def at(self, player: Player) -> "Runner":
+        """The same moment with another Mario."""
+        return self._replace(player=player)
+
 
 @dataclass(frozen=True)
 class MarioDynamics:

@@ -26,7 +26,7 @@ from hrljax.learners.base import Context, Learner, LearnerState, Transition, Wor
 from hrljax.learners.fading import Fading, Seen
 from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
 from hrljax.learners.relational.concepts import Concepts, ConceptSet, ThingsOnScreen
-from hrljax.learners.relational.search_root import Plan, SearchRoot
+from hrljax.learners.relational.search_root import Plan, PlanningRoot
 from hrljax.learners.roots.base import Decision
 from hrljax.learners.updates import td_target
 
@@ -93,7 +93,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
             differ only by what the concepts that hold say of them, and where none does, the root is followed.
     """
 
-    root: SearchRoot | None = None
+    root: PlanningRoot | None = None
     pseudo_reward: "Hyperparameter | Fading" = hyperparameter(0.0, schedule=True, settings=Fading)
     step_size: Hyperparameter = hyperparameter(0.05, 0, 1, low_open=True, schedule=True)
     epsilon: Hyperparameter = hyperparameter(0.01, 0, 1, schedule=True)
@@ -113,7 +113,7 @@ class RelationalHORDQ(Learner[Prepared, Tables, Control]):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.root is not None:
-            checks.instance("RelationalHORDQ: root", self.root, SearchRoot, "None or a SearchRoot")
+            checks.instance("RelationalHORDQ: root", self.root, PlanningRoot, "None, a SearchRoot or an AStarRoot")
         checks.instance("RelationalHORDQ: concepts", self.concepts, ConceptSet, "ThingsOnScreen() or NearestThings()")
         self._check_choice("bootstrap", Bootstrap)
         self._check_choice("bias", Bias)

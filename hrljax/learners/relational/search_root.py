@@ -1,5 +1,6 @@
-"""A root that plans in Mario: best-first search on a model (thesis 4.2.3)."""
+"""Roots that plan in Mario on a model: what they have in common, and best-first search (thesis 4.2.3)."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -17,6 +18,7 @@ from hrljax.learners.hyperparameters import Hyperparameter, hyperparameter
 from hrljax.learners.relational.learned_model import MarioModel
 from hrljax.learners.relational.planner_model import PlannerModel
 from hrljax.learners.roots.base import Decision, Root
+from hrljax.search.a_star import AStarResult
 from hrljax.search.best_first import Answer, Count, Loop, Priority, SearchResult, best_first_search, check_room
 
 Follow = Literal["every_step", "sequence"]
@@ -31,42 +33,26 @@ class Plan(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
+class PlanningRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
     """Suggests the first action of the best sequence that a search on a model finds.
 
     Attributes:
-        stop_reward: the search ends when a sequence promises more.
         model: a model that is learned, and how, or one that is given.
-        depth, max_nodes, room, count, priority, answer: see `hrljax.search.best_first.best_first_search`. Where
-            `max_nodes` is swept, `room` has to be given.
+        depth: of a sequence, at most.
         follow: searches at ``"every_step"``, or follows a ``"sequence"`` to its end.
         refit_interval: episodes between two fits of the model.
     """
 
-    stop_reward: Hyperparameter = hyperparameter(6.0)
     model: PlannerModel[Any] = MarioModel()
     depth: int = 6
-    max_nodes: Hyperparameter = hyperparameter(300, 1)
-    room: int | None = None
-    count: Count = "generated"
-    priority: Priority = "cumulative"
-    answer: Answer = "any"
     follow: Follow = "every_step"
     refit_interval: int = 1
-
-    name = "search"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("depth", "refit_interval"):
             self._check_integer(name, 1)
-        for name, allowed in (("count", Count), ("priority", Priority), ("answer", Answer), ("follow", Follow)):
-            self._check_choice(name, allowed)
-        nodes: Any = self.max_nodes
-        if not isinstance(nodes, Tracer) and nodes == int(nodes):
-            self._set("max_nodes", int(nodes))  # an axis has floats
-        check_room(self.max_nodes, self.room, "SearchRoot: ")
-        checks.instance("SearchRoot: model", self.model, PlannerModel, "a MarioModel, MultiwayModel or MarioDynamics")
+        self._check_choice("follow", Follow)
 
     @property
     def planning_interval(self) -> int:
@@ -101,22 +87,11 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
         refitted = self.model.refit(prepared, tables)
         return lax.cond(context.learns, lambda: refitted, lambda: tables) if context.vmapped else refitted
 
-    def search(self, env: Mario, tables: chex.ArrayTree, episode: Episode, loop: Loop = "while") -> SearchResult:
-        """The search from a moment of an episode, with its tree."""
-        model, start = self.model.planned(env, tables, episode)
-        return best_first_search(
-            model,
-            start,
-            env.num_actions,
-            depth=self.depth,
-            max_nodes=self.max_nodes,
-            room=self.room,
-            count=self.count,
-            priority=self.priority,
-            answer=self.answer,
-            stop_reward=jnp.asarray(self.stop_reward, jnp.float32),
-            loop=loop,
-        )
+    @abstractmethod
+    def search(
+        self, env: Mario, tables: chex.ArrayTree, episode: Episode, loop: Loop = "while"
+    ) -> SearchResult | AStarResult:
+        """The search from a moment of an episode, with what it looked at; `loop` as of `best_first_search`."""
 
     def _suggested(
         self,
@@ -141,3 +116,52 @@ class SearchRoot(Root[Mario, chex.ArrayTree, Plan, Episode]):
         next_action = plan.actions[lax.min(plan.used, self.depth - 1)]
         following = Decision(next_action, plan._replace(used=plan.used + 1))
         return lax.cond(decides & ~is_left, searched, lambda: following)
+
+
+@dataclass(frozen=True)
+class SearchRoot(PlanningRoot):
+    """Suggests the first action of the best sequence that a best-first search on a model finds.
+
+    Attributes:
+        stop_reward: the search ends when a sequence promises more.
+        model: a model that is learned, and how, or one that is given.
+        depth, max_nodes, room, count, priority, answer: see `hrljax.search.best_first.best_first_search`. Where
+            `max_nodes` is swept, `room` has to be given.
+        follow, refit_interval: see `PlanningRoot`.
+    """
+
+    stop_reward: Hyperparameter = hyperparameter(6.0)
+    max_nodes: Hyperparameter = hyperparameter(300, 1)
+    room: int | None = None
+    count: Count = "generated"
+    priority: Priority = "cumulative"
+    answer: Answer = "any"
+
+    name = "search"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, allowed in (("count", Count), ("priority", Priority), ("answer", Answer)):
+            self._check_choice(name, allowed)
+        nodes: Any = self.max_nodes
+        if not isinstance(nodes, Tracer) and nodes == int(nodes):
+            self._set("max_nodes", int(nodes))  # an axis has floats
+        check_room(self.max_nodes, self.room, "SearchRoot: ")
+        checks.instance("SearchRoot: model", self.model, PlannerModel, "a MarioModel, MultiwayModel or MarioDynamics")
+
+    def search(self, env: Mario, tables: chex.ArrayTree, episode: Episode, loop: Loop = "while") -> SearchResult:
+        """The search from a moment of an episode, with its tree."""
+        model, start = self.model.planned(env, tables, episode)
+        return best_first_search(
+            model,
+            start,
+            env.num_actions,
+            depth=self.depth,
+            max_nodes=self.max_nodes,
+            room=self.room,
+            count=self.count,
+            priority=self.priority,
+            answer=self.answer,
+            stop_reward=jnp.asarray(self.stop_reward, jnp.float32),
+            loop=loop,
+        )

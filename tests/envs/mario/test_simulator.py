@@ -10,7 +10,8 @@ from hrljax.envs.mario.engine.state import new_player
 from hrljax.envs.mario.env import ALL_ACTIONS, Mario
 from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.envs.mario.levels.generator import generate_level
-from hrljax.envs.mario.simulator import TOP_SPEED, TOP_STEP, Simulator, power, reach
+from hrljax.envs.mario.simulator import Simulator, power
+from hrljax.envs.mario.stretch import TOP_SPEED, TOP_STEP, reach
 
 WIDTH = 130
 RUN = ALL_ACTIONS.index((1, 0, 1))

@@ -13,7 +13,7 @@ from hrljax.envs.mario.competition import Episode, begin
 from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.envs.mario.levels.generator import generate_level
-from hrljax.envs.mario.simulator import TOP_STEP
+from hrljax.envs.mario.stretch import TOP_STEP
 from hrljax.learners.mario.a_star import MarioAStar
 from hrljax.search.a_star import AStarResult
 

@@ -256,7 +256,7 @@ def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: W
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"root": "search"}, "root must be None or a SearchRoot"),
+        ({"root": "search"}, "root must be None, a SearchRoot or an AStarRoot"),
         ({"bootstrap": "max"}, "bootstrap must be one of 'on_policy', 'greedy', got 'max'"),
         ({"trace_length": -1}, "trace_length must be an integer from 0 to 2147483647, got -1"),
         ({"step_size": 0.0}, "step_size must be a finite number in"),
