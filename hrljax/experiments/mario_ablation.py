@@ -119,9 +119,11 @@ def rows(
     """
     check_names(names, of)
     for name in names:
-        change = CHANGES[name] if of == "thesis" else Change()
-        learner = OF_BEST[name] if of == "best" else None
-        learner = learner or RelationalHORDQ(change.search_root(), pseudo_reward=pseudo_reward)
+        if of == "best":
+            change, learner = Change(), OF_BEST[name]
+        else:
+            change = CHANGES[name]
+            learner = RelationalHORDQ(change.search_root(), pseudo_reward=pseudo_reward)
         env, axes = change.environment(), {f"env.{param}": [value] for param, value in change.params.items()}
         curves = sweep(
             env, learner, seeds=seeds, num_episodes=num_episodes, bin_size=1, chunk_size=1, axes=axes, **options

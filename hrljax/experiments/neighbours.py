@@ -55,13 +55,14 @@ def run(
         if learner is None:
             continue
         episodes = max(_WINDOW, int(domain.episodes * scale))
+        chunk = max(1, seeds // 8)
         options: dict[str, Any] = {
             "num_episodes": episodes,
             "bin_size": max(1, episodes // _BINS),
             "params": domain.params,
             "cores": cores,
             "key": key,
-            "chunk_size": (chunk := max(1, seeds // 8)),
+            "chunk_size": chunk,
             "progress": False,
         }
         dataset, begin = None, 0.0

@@ -22,11 +22,10 @@ from hrljax.learners.base import Transition
 from hrljax.learners.hyperparameters import Settings
 from hrljax.learners.relational.encounter_model import MarioEncounters
 from hrljax.learners.relational.given_model import MarioDynamics, promised
-from hrljax.learners.relational.visited import mixed
+from hrljax.learners.relational.visited import no_rows, place_of
 from hrljax.search.best_first import ModelFn
 from hrljax.trees.rows import MAX_ROWS
 
-_PLACE_BITS = 19
 _PLAYER = len(Player._fields)
 _KEY = _PLAYER + 2
 _WIDTH = _KEY + _PLAYER + 1
@@ -60,8 +59,8 @@ class MarioMemory(Settings):
         checks.instance("MarioMemory: model", self.model, kinds, "a MarioDynamics or MarioEncounters")
 
     def init(self, env: Mario) -> Memories:
-        nowhere = jnp.full(1 << _PLACE_BITS, self.rows, jnp.int32)
-        return Memories(self.model.init(env), jnp.zeros((self.rows + 1) * _WIDTH, jnp.int32), nowhere, jnp.int32(0))
+        values = jnp.zeros((self.rows + 1) * _WIDTH, jnp.int32)
+        return Memories(self.model.init(env), values, no_rows(self.rows), jnp.int32(0))
 
     def observe(self, env: Mario, tables: Memories, transition: Transition, learns: Array) -> Memories:
         before: Episode = transition.state
@@ -103,7 +102,7 @@ class MarioMemory(Settings):
 
     def _row(self, tables: Memories, key: Array) -> tuple[Array, Array, Array]:
         """The place of a key, the row there, and whether it is of this key."""
-        place = mixed(key, _PLACE_BITS)
+        place = place_of(key)
         number = take(tables.places, place)
         is_met = (number < self.rows) & jnp.all(take_row(tables.values, number * np.int32(_WIDTH), _KEY) == key)
         return place, number, is_met

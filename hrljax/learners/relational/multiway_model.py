@@ -18,12 +18,10 @@ from hrljax.core.numerics import put_row, take, take_row
 from hrljax.envs.mario.env import Mario
 from hrljax.learners.relational.aftermath import after_step, nothing_came, worth_at, worth_of
 from hrljax.learners.relational.screen_model import NUM_CHANGES, Experience, Foreseen, ModelTables, ScreenModel
-from hrljax.learners.relational.visited import mixed
+from hrljax.learners.relational.visited import no_rows, place_of
 from hrljax.trees.multiway import READINGS, MultiwayTree, MultiwayTrees, predict
 
 Reading = Literal["A", "B", "C", "D"]
-_PLACE_BITS = 19
-"""Of tables of rows; two rows may share a place in one: then equal ones can be kept as several rows."""
 _LIKELY = np.float32(0.5)
 
 
@@ -93,13 +91,12 @@ class MultiwayModel(ScreenModel):
 
     def empty(self, num_actions: int) -> Rows:
         rows = self.rows + 1
-        nowhere = jnp.full(1 << _PLACE_BITS, self.rows, jnp.int32)
         return Rows(
             values=jnp.zeros(rows * self._width, jnp.float32),
             weights=jnp.zeros(rows, jnp.float32),
-            places=nowhere,
+            places=no_rows(self.rows),
             filled=jnp.int32(0),
-            memory=nowhere if self.memory else (),
+            memory=no_rows(self.rows) if self.memory else (),
             aftermath=nothing_came(self.rows) if self.death_decay else (),
             has_news=jnp.bool_(False),
         )
@@ -118,7 +115,7 @@ class MultiwayModel(ScreenModel):
         others += [new.last_keys.astype(jnp.float32)] * self.memory
         row = jnp.concatenate([new.inputs, jnp.stack(others)])
         bits = lax.bitcast_convert_type(row + np.float32(0), jnp.int32)
-        place = mixed(bits, _PLACE_BITS)
+        place = place_of(bits)
         known, width = take(replay.places, place), np.int32(self._width)
         is_known = jnp.all(take_row(replay.values, known * width, self._width) == row) & (known < self.rows)
         number = lax.select(is_known, known, lax.min(replay.filled, jnp.int32(self.rows)))
@@ -127,7 +124,7 @@ class MultiwayModel(ScreenModel):
         weight = take(replay.weights, number) + np.float32(1)
         memory, aftermath, has_changed = replay.memory, replay.aftermath, jnp.bool_(False)
         if self.memory:
-            of_key = mixed(self._key(new.inputs, new.last_keys, new.action), _PLACE_BITS)
+            of_key = place_of(self._key(new.inputs, new.last_keys, new.action))
             before = take(memory, of_key)
             memory = put_row(memory, of_key, lax.select(number < self.rows, number, before)[None])
         if self.death_decay:
@@ -189,7 +186,7 @@ class MultiwayModel(ScreenModel):
     def _remembered(self, replay: Rows, inputs: Array, last_keys: Array, action: Array) -> tuple[Array, Array]:
         """Whether a step was met, and what it brought when it was met last."""
         f, key = self.num_inputs, self._key(inputs, last_keys, action)
-        number = take(replay.memory, mixed(key, _PLACE_BITS))
+        number = take(replay.memory, place_of(key))
         row = take_row(replay.values, number * np.int32(self._width), self._width)
         its_key = self._key(row[:f], row[-1].astype(jnp.int32), row[f].astype(jnp.int32))
         outcome = row[f + 1 : f + 7]
