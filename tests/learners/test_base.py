@@ -69,9 +69,3 @@ def test_what_is_no_schedule_is_refused_with_what_to_write(schedule: Any, messag
 def test_a_schedule_stays_in_its_interval(schedule: Any, message: str):
     with pytest.raises(ValueError, match=message):
         with_tabulated_schedules(hrljax.QLearning(step_size=schedule), 3)
-
-
-def test_an_option_that_came_later_is_a_setting_only_where_it_is_not_the_default():
-    """Stores of before it existed have no such setting, and still continue."""
-    assert "ties" not in hrljax.QLearning().settings()
-    assert hrljax.QLearning(ties="random").settings()["ties"] == "random"

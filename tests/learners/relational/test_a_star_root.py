@@ -14,7 +14,7 @@ from hrljax.envs.mario.stretch import TOP_STEP
 from hrljax.learners.relational.encounter_model import MarioEncounters
 from hrljax.search.a_star import AStarResult
 
-WIDTH, FLAT, PIT = 70, 0, 1
+WIDTH, FLAT, PIT, ABYSS = 70, 0, 1, 2
 RUN, RUN_AND_JUMP = 6, 8
 
 
@@ -28,7 +28,7 @@ def level(pit: range, *goombas: int) -> str:
     return "\n".join(["type: overground", *["." * WIDTH] * 13, ground, ground, "", *map("".join, things)])
 
 
-ENV = Mario(levels=(level(range(0), 12), level(range(14, 18))), preset="thesis")
+ENV = Mario(levels=(level(range(0), 12), level(range(14, 18)), level(range(8, 60))), preset="thesis")
 ALONE = hrl.AStarRoot(model=hrl.MarioDynamics(), horizon=12, max_expansions=96)
 LEARNS = hrl.AStarRoot(horizon=12, max_expansions=96)
 
@@ -76,6 +76,13 @@ def test_no_way_leads_into_a_pit():
         assert float(reward) > -10
         assert int(episode.world.player.death_time) == 0
     assert float(episode.world.player.x) > 17 * 16
+
+
+def test_a_death_is_no_way_even_where_there_is_no_other():
+    result = search((), landed(ABYSS, 4))
+    count = int(result.num_expanded)
+    assert count < ALONE.max_expansions  # it looked everywhere
+    assert not np.asarray(result.nodes.state.player.death_time)[:count].any()
 
 
 def test_what_is_learned_of_an_encounter_bends_the_way():
