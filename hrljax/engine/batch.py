@@ -70,16 +70,11 @@ def compile_mapped(
     rows go together under `vmap` on a CPU, see `group_length`.
     """
     if mapping == "vmap":
-        if not _native_lockstep():
+        if jax.default_backend() != "cpu":
             return jax.jit(jax.vmap(function))
-        return jax.jit(_in_groups(function, group), compiler_options=dict(compiler.NESTED_OPTIONS))
+        return jax.jit(_in_groups(function, group), compiler_options=dict(compiler.lockstep_options()))
     options = compiler.NESTED_OPTIONS if nested else compiler.OPTIONS
     return jax.jit(lambda rows: lax.map(function, rows), compiler_options=dict(options))
-
-
-def _native_lockstep() -> bool:
-    """Whether the loops of runs mapped by `vmap` become native too."""
-    return jax.default_backend() == "cpu" and compiler.native_loops_available()
 
 
 def group_length(table_bytes: int) -> int:
@@ -104,8 +99,8 @@ def _in_groups(function: Callable[[Any], Any], most: int) -> Callable[[Any], Any
 
 
 def most_at_once(mapping: Literal["native", "vmap"], cores: int | None, num_chunks: int) -> int:
-    """Chunks that threads of this process run at a time: one where XLA spreads a chunk over cores by itself."""
-    if mapping == "vmap" and not _native_lockstep():
+    """Chunks that threads of this process run at a time: one where a chunk fills the device by itself."""
+    if mapping == "vmap" and jax.default_backend() != "cpu":
         return 1
     return min(cores or usable_cores(), num_chunks)
 
@@ -167,7 +162,7 @@ def run_many(
         rows: a pytree of NumPy arrays with a leading axis [rows].
         mapping: the mapping that `run` was made for.
         cores: chunks that run at a time; all usable cores if None. With an executor, the chunks that it is given
-            at a time. Without native loops XLA spreads each chunk over cores by itself, one after the other.
+            at a time. Elsewhere than on a CPU chunks run one after the other.
         chunk_size: rows in a chunk; chosen if None.
         chunks: the rows of each chunk that is to be computed; all rows in chunks of `chunk_size` if None.
         executor: where chunks are computed; threads of this process if None.

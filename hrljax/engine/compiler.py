@@ -150,6 +150,25 @@ def nested_options() -> dict[str, str | bool | int] | None:
     return dict(NESTED_OPTIONS) if native_loops_available() else None
 
 
+@cache
+def lockstep_options() -> dict[str, str | bool | int]:
+    """Those of `NESTED_OPTIONS` that this version of XLA takes, for runs that `vmap` puts side by side on a CPU.
+
+    With the pass that they switch off, a step that reads a large table for many runs is spread over cores, which up to
+    jax 0.10 does not link within a native loop. It is chunks of runs that the cores are given.
+    """
+    return {name: value for name, value in NESTED_OPTIONS.items() if _is_taken(name, value)}
+
+
+def _is_taken(name: str, value: str | bool | int) -> bool:
+    try:
+        with jax.default_device(jax.devices("cpu")[0]):
+            jax.jit(lambda: jnp.float32(0), compiler_options={name: value}).lower().compile()
+    except Exception:  # whatever a future compiler raises
+        return False
+    return True
+
+
 def _probe() -> str:
     """Compiles a loop that touches as much memory in a turn as learners do; says what is wrong, or nothing."""
 

@@ -1,12 +1,14 @@
 """One run: an environment, a learner and a key give what was learned and its curve."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from jax import Array
 from jax.core import Tracer
 
 from hrljax.core import checks, forks, random
 from hrljax.core.environment import Numbers
+from hrljax.core.lockstep import one_after_another
 from hrljax.engine.lockstep import Lockstep
 from hrljax.engine.run import Run, default_bin_size
 from hrljax.engine.start import Start, Startable, checked_start
@@ -34,7 +36,7 @@ def train(
     """Trains a learner for a number of episodes. Pure, for one seed; jit and vmap it.
 
     Compiled by itself it is correct, but not fast on a CPU: `hrljax.sweep` and `hrljax.engine.batch`
-    compile it as a native loop.
+    compile it as a native loop. Under `vmap` on a CPU one run is computed after the other.
 
     Args:
         env: an environment; a tabular one if the learner is.
@@ -56,7 +58,12 @@ def train(
         TypeError, ValueError: a bad argument, or an environment that is not as `hrljax.check` wants it;
             before anything is compiled.
     """
-    return run_once(env, learner, key, num_episodes, params, bin_size, evaluate_every, start, num_steps, measures)
+
+    # Runs that `vmap` puts side by side are slower on a CPU, and XLA up to that of jax 0.10 fails to link what reads
+    # large tables for them, unless it is compiled with the options that the engine gives.
+    return one_after_another(
+        _run_of(env, learner, key, num_episodes, params, bin_size, evaluate_every, start, num_steps, measures)
+    )()
 
 
 def run_once(
@@ -80,6 +87,25 @@ def run_once(
         vmapped: how the loop is built, not what it computes. True suits `vmap`, where all runs of
             a batch take their steps together; False suits one run.
     """
+    return _run_of(
+        env, learner, key, num_episodes, params, bin_size, evaluate_every, start, num_steps, measures, vmapped
+    )()
+
+
+def _run_of(
+    env: AnyEnvironment,
+    learner: AnyLearner,
+    key: Array,
+    num_episodes: int,
+    params: Numbers | None,
+    bin_size: int | None,
+    evaluate_every: int | None,
+    start: Startable | Start | None,
+    num_steps: int | None,
+    measures: Sequence[Measure],
+    vmapped: bool = False,
+) -> Callable[[], Run]:
+    """What computes a run, after every argument was looked at."""
     num_episodes, bin_size, evaluate_every = check_arguments(env, learner, num_episodes, bin_size, evaluate_every)
     num_steps = checked_steps(num_steps)
     measures = checked_measures(measures)
@@ -91,7 +117,7 @@ def run_once(
     if measures:
         learner = Measured(learner, measures)
     trainer = (Lockstep if vmapped else Trainer)(env, learner, key, numbers, num_episodes, begin, num_steps)
-    return trainer.run(bin_size or default_bin_size(num_episodes), evaluate_every)
+    return partial(trainer.run, bin_size or default_bin_size(num_episodes), evaluate_every)
 
 
 def checked_steps(num_steps: object) -> int | None:

@@ -216,15 +216,19 @@ def test_chunks_are_small_enough_for_every_core():
 
 
 def test_refused_compiler_options_warn_once_and_fall_back(monkeypatch: pytest.MonkeyPatch):
-    expected = swept()
-    monkeypatch.setattr(compiler, "OPTIONS", {**compiler.OPTIONS, "xla_no_such_option": True})
+    expected, taken = swept(), dict(compiler.NESTED_OPTIONS)
+    for options in ("OPTIONS", "NESTED_OPTIONS"):
+        monkeypatch.setattr(compiler, options, {**getattr(compiler, options), "xla_no_such_option": True})
     compiler.native_loops_available.cache_clear()
+    compiler.lockstep_options.cache_clear()
     try:
         with pytest.warns(RuntimeWarning, match="refuses the compiler options of native loops"):
             assert batch.resolve_mapping("auto") == "vmap"
         actual = swept(mapping="auto", chunk_size=7)  # a second warning would be an error
+        assert compiler.lockstep_options() == taken
     finally:
         compiler.native_loops_available.cache_clear()
+        compiler.lockstep_options.cache_clear()
     assert actual.attrs["mapping"] == "vmap"
     assert_same(actual, expected)
 

@@ -79,3 +79,18 @@ def test_a_sweep_of_numpys_numbers_fits_into_a_store(tmp_path: Any):
         MAZE, hrljax.QLearning(), seeds=1, num_episodes=2, bin_size=2, key=3, store=tmp_path / "x", progress=False
     )
     assert same.attrs["complete"] == 1
+
+
+@pytest.mark.parametrize("env", ["Maze", "Bus"])
+def test_runs_of_a_users_own_vmap_have_the_bits_of_single_ones(env: str):
+    """With tables so large that XLA would read them on several cores: one for each run, or one that all share."""
+
+    def run(key: jax.Array, epsilon: jax.Array) -> hrljax.Run:
+        return hrljax.train(hrljax.make(env), hrljax.QLearning(epsilon=epsilon), key, 3)
+
+    keys, epsilons = jax.random.split(jax.random.key(0), 64), jnp.linspace(0.1, 0.5, 64)
+    runs, alone = jax.jit(jax.vmap(run))(keys, epsilons), jax.jit(run)
+    for seed in (0, 63):
+        expected = jax.tree.leaves(alone(keys[seed], epsilons[seed]))
+        for actual, single in zip(jax.tree.leaves(runs), expected, strict=True):
+            np.testing.assert_array_equal(actual[seed], single)

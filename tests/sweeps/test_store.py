@@ -312,8 +312,8 @@ def test_an_interrupted_sweep_is_continued(whole: Path, tmp_path: Path, monkeypa
         write(store, chunk, values)
 
     monkeypatch.setattr(Store, "write", interrupted)
-    kept = sweep(store=path)
-    assert len(set(chunks)) < 6
+    kept = sweep(store=path, cores=1)  # with two, all chunks may have begun
+    assert len(set(chunks)) == 4
     assert (kept.attrs["complete"], hrljax.load(path).attrs["complete"]) == (0, 0)
     xr.testing.assert_equal(hrljax.load(path), kept)
     assert 0 < int(np.isnan(kept["steps"]).sum()) < 10
