@@ -123,13 +123,27 @@ class FactoredModel:
         """``[P * W + C]`` int32: counts of no steps, as of `hrljax.trees.classification.Data`."""
         return jnp.zeros(self.num_pairs * self.trees.width + self.trees.most_classes, jnp.int32)
 
-    def seen_before(self, counts: Array, pair: Array) -> Array:
-        """How often the action of a pair (int32, any shape) was taken: each time the episode ended or went on."""
-        place = pair * np.int32(self.trees.width) + np.int32(self.trees.first_class[-1])
-        total = gather(counts, place)
-        for which in range(1, self.num_weights):
-            total = total + gather(counts, place + np.int32(which))
-        return total
+    def row(self, counts: Array, pair: Array) -> Array:
+        """``[W]`` int32: the counts of a pair.
+
+        Read but once, whatever is made of it: a second read could not be told to come before the row is written, and
+        the compiler would copy all counts for it in every step.
+        """
+        width = self.trees.width
+        return lax.optimization_barrier(take_row(counts, pair * np.int32(width), width))
+
+    def rows(self, counts: Array) -> Array:
+        """``[P, W]`` int32: the counts of all pairs."""
+        width = self.trees.width
+        return counts[: self.num_pairs * width].reshape(-1, width)
+
+    def times_taken(self, rows: Array) -> Array:
+        """How often the actions of pairs with these counts (``[..., W]``) were taken, ``[...]`` int32.
+
+        Each time the episode ended or went on.
+        """
+        first = self.trees.first_class[-1]
+        return rows[..., first : first + self.num_weights].sum(-1, dtype=jnp.int32)
 
     def no_numbers(self) -> Numbers:
         return Numbers(Distinct.of(self.num_rewards), Distinct.of(self.num_weights, 1.0, 0.0))
@@ -153,15 +167,17 @@ class FactoredModel:
         end, weights = numbers.weights.having(weight)
         return [*of_variables, reward, end], Numbers(rewards, weights)
 
-    def counted(self, counts: Array, pair: Array, classes: list[Array], terminated: Array, learns: Array) -> Array:
-        """The counts with one more step, if `learns`. Of a step that ends the episode no next state is learned."""
-        width = self.trees.width
-        row = take_row(counts, pair * np.int32(width), width)
-        places = np.arange(width, dtype=np.int32)
+    def row_after(self, row: Array, classes: list[Array], terminated: Array) -> Array:
+        """The counts of a pair with one more step. Of a step that ends the episode no next state is learned."""
+        places = np.arange(self.trees.width, dtype=np.int32)
         for kind, (first, which) in enumerate(zip(self.trees.first_class, classes, strict=True)):
-            is_learned = learns & ~terminated if kind < self.num_variables else learns
-            row = row + ((places == which + np.int32(first)) & is_learned).astype(jnp.int32)
-        return put_row(counts, pair * np.int32(width), row)
+            is_of_step = places == which + np.int32(first)
+            row = row + (is_of_step & ~terminated if kind < self.num_variables else is_of_step).astype(jnp.int32)
+        return row
+
+    def with_row(self, counts: Array, pair: Array, row: Array) -> Array:
+        """The counts with those of a pair replaced."""
+        return put_row(counts, pair * np.int32(self.trees.width), row)
 
     def least_probability(
         self, forest: Forest, pair: Array, classes: list[Array], terminated: Array, zero: Array

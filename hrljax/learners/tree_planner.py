@@ -127,7 +127,8 @@ class TreePlanner(Settings):
         """
         learns = context.learns
         pair = transition.state * np.int32(model.num_actions) + transition.action
-        seen = model.seen_before(tables.counts, pair)
+        row = model.row(tables.counts, pair)
+        seen = model.times_taken(row)
         classes, numbers = model.classes(transition, weight, tables.numbers)
         probability = model.least_probability(tables.forest, pair, classes, transition.terminated, context.zero)
         is_new = learns & (seen == 0)
@@ -151,17 +152,19 @@ class TreePlanner(Settings):
         explores_on_old = self._is_exploring(model, tables, transition.next_state) & ~tables.is_fresh
         needs = (tables.surprised | explores_on_old) & (tables.waited >= self.refit_interval)
 
-        def observed(tables: TreeTables, learns: Array) -> TreeTables:
-            return tables._replace(counts=model.counted(tables.counts, pair, classes, transition.terminated, learns))
+        new_row = model.row_after(row, classes, transition.terminated)
+
+        def with_row(tables: TreeTables, row: Array) -> TreeTables:
+            return tables._replace(counts=model.with_row(tables.counts, pair, row))
 
         # The counts change where they are planned with: else the compiler would move parts of the planning out of
         # there, to where they run every step.
         return once_if(
             learns & needs,
             lambda tables: self._planned(
-                model, observed(tables, jnp.bool_(True)), transition.next_state, discount, chance, context
+                model, with_row(tables, new_row), transition.next_state, discount, chance, context
             ),
-            observed(tables, learns & ~needs),
+            with_row(tables, lax.select(learns & ~needs, new_row, row)),
         )
 
     def _planned(
@@ -193,7 +196,7 @@ class TreePlanner(Settings):
         )
         if not self.explores:
             return tables
-        is_known = model.seen_before(tables.counts, jnp.arange(model.num_pairs, dtype=jnp.int32)) >= self.known_after
+        is_known = model.times_taken(model.rows(tables.counts)) >= self.known_after
         if model.allowed is not None:
             is_known = is_known | ~model.allowed
         explores = self._is_exploring(model, tables, state)

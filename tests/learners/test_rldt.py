@@ -1,13 +1,16 @@
 """RL-DT: against plain Python, and what its parts mean."""
 
+import re
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 import hrljax
+from hrljax.engine import compiler
 from hrljax.learners.base import Transition
 from hrljax.learners.effects import FactoredModel, Numbers, Outcomes, backed_up
 from hrljax.learners.rldt import RLDT, SPITI
@@ -105,8 +108,32 @@ def counted(model: FactoredModel, steps: list[tuple[int, int, float, int, bool]]
         step = Transition(*numbers, jnp.bool_(ended))
         classes, seen = model.classes(step, jnp.float32(not ended), seen)
         pair = jnp.int32(state * model.num_actions + action)
-        counts = model.counted(counts, pair, classes, step.terminated, jnp.bool_(True))
+        row = model.row_after(model.row(counts, pair), classes, step.terminated)
+        counts = model.with_row(counts, pair, row)
     return counts, seen
+
+
+def test_a_row_of_counts_is_written_in_place():
+    """All counts of a step's loop are one array: to copy it in every step takes ten times as long as the step."""
+    model = RLDT().prepare(CORRIDOR)
+    unlike = [jnp.int32(0) for _ in model.trees.num_classes]
+
+    def step(pair: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        counts, new = carry
+        row = model.row(counts, pair)
+        new = new + (model.times_taken(row) == 0).astype(jnp.int32)
+        return model.with_row(counts, pair, model.row_after(row, unlike, jnp.bool_(False))), new
+
+    def steps(counts: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Each of 40 pairs twice."""
+        return lax.fori_loop(jnp.int32(0), jnp.int32(80), lambda i, carry: step(i // 2, carry), (counts, jnp.int32(0)))
+
+    counts = model.no_counts()
+    compiled = jax.jit(steps, donate_argnums=0, compiler_options=dict(compiler.NESTED_OPTIONS)).lower(counts).compile()
+    assert not re.findall(rf"s32\[{len(counts)}\]\S* copy\(", compiled.as_text() or "")
+    counts, new = compiled(counts)
+    assert int(new) == 40
+    assert model.times_taken(model.rows(counts)).tolist() == [2] * 40
 
 
 def predicted(model: FactoredModel, steps: list[tuple[int, int, float, int, bool]], pair: int) -> Outcomes:
@@ -143,7 +170,8 @@ def test_outcomes_are_products_of_what_the_variables_become():
     model = RLDT().prepare(CORRIDOR)
     steps = [(6, 1, -1.0, 7, False)] * 3 + [(6, 1, -3.0, 2, False), (6, 1, -1.0, 0, True)]
     counts, _ = jax.jit(lambda: counted(model, steps))()
-    assert int(model.seen_before(counts, jnp.int32(25))) == 5
+    assert int(model.times_taken(model.row(counts, jnp.int32(25)))) == 5
+    assert model.times_taken(model.rows(counts)).tolist() == [5 if pair == 25 else 0 for pair in range(40)]
     outcomes = predicted(model, steps, pair=25)
     assert outcomes.next_state.reshape(-1, 40)[:2, 25].tolist() == [7, 2]
     np.testing.assert_allclose(outcomes.weight.reshape(-1, 40)[:2, 25], [0.75, 0.25], rtol=1e-6)
