@@ -5,14 +5,14 @@ to be independent of each other, given state and action (a dynamic Bayesian netw
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from hrljax.core.numerics import exact_product, put_row, take, take_row
+from hrljax.core.numerics import exact_product, put_row, stage, take, take_row
 from hrljax.envs.factored import FactoredStates
 from hrljax.learners.base import Transition
 from hrljax.trees.classification import ClassificationTrees, Forest, Score
@@ -130,7 +130,7 @@ class FactoredModel:
         the compiler would copy all counts for it in every step.
         """
         width = self.trees.width
-        return lax.optimization_barrier(take_row(counts, pair * np.int32(width), width))
+        return stage(partial(take_row, length=width))(counts, pair * np.int32(width))
 
     def rows(self, counts: Array) -> Array:
         """``[P, W]`` int32: the counts of all pairs."""
