@@ -14,6 +14,7 @@ from hrljax.learners.base import AnyLearner
 from hrljax.learners.mario.a_star import MarioAStar
 from hrljax.learners.mario.nearest_things import NearestThingsSARSA
 from hrljax.learners.mario.sample import SampleAgent
+from hrljax.learners.mario.three_options import ThreeOptions
 from hrljax.sweeps.sweep import sweep
 
 PLANNER = MarioAStar()
@@ -21,8 +22,9 @@ AGENTS: dict[str, AnyLearner] = {
     "sample agent, no memory": SampleAgent(has_memory=False),
     "sample agent": SampleAgent(),
     "nearest things": NearestThingsSARSA(),
+    "three options": ThreeOptions(),
 }
-"""The competition's own agent, with and without its memory, and the winner's as it has been described."""
+"""The competition's own agent, with and without its memory, and others as they have been described."""
 
 
 def described_rows(

@@ -57,15 +57,19 @@ def _is_pit(course: Course, world: World, column: Array) -> Array:
     return _tile(course, world, column, HEIGHT - 1) == EMPTY
 
 
+def pits(course: Course, world: World, first: int, last: int) -> Array:
+    """Which of the columns from `first` to `last`, counted from Mario's, are of a pit: ``[last - first + 1]`` bool."""
+    column, _ = cell(world.player.x, world.player.y)
+    return jnp.stack([_is_pit(course, world, column + np.int32(ahead)) for ahead in range(first, last + 1)])
+
+
 def dangers(course: Course, world: World) -> Dangers:
     """Whether a wall, a pit or a monster is ahead of Mario."""
     column, row = cell(world.player.x, world.player.y)
     blocks = jnp.asarray((BEHAVIORS & BLOCKS) != 0)
-    wall = pit = jnp.bool_(False)
+    wall, pit = jnp.bool_(False), pits(course, world, 0, _PIT_AHEAD).any()
     for ahead in range(1, _AHEAD):
         wall |= take(blocks, _tile(course, world, column + ahead, row))
-    for ahead in range(_PIT_AHEAD + 1):
-        pit |= _is_pit(course, world, column + ahead)
     sprites = world.sprites
     listed = (np.arange(MAX_SPRITES, dtype=np.int32) < world.num_sprites) & is_enemy(sprites.kind)
     dx, dy = sprites.x - world.player.x, sprites.y - world.player.y
@@ -76,10 +80,10 @@ def dangers(course: Course, world: World) -> Dangers:
 def nearest(course: Course, world: World, count: int) -> Things:
     """The nearest of the monsters, and of the left ends of pits, by columns and rows together."""
     player, sprites = world.player, world.sprites
-    column, row = cell(player.x, player.y)
+    _, row = cell(player.x, player.y)
     offsets = np.arange(-REACH_LEFT, REACH_RIGHT + 1, dtype=np.int32)
-    open_below = [_is_pit(course, world, column + np.int32(dx)) for dx in (offsets[0] - 1, *offsets)]
-    begins = jnp.stack([now & ~before for before, now in zip(open_below, open_below[1:], strict=False)])
+    open_below = pits(course, world, -REACH_LEFT - 1, REACH_RIGHT)
+    begins = open_below[1:] & ~open_below[:-1]
     dx = jnp.concatenate([jnp.round((sprites.x - player.x) / np.float32(TILE)).astype(jnp.int32), offsets])
     dy = jnp.round((player.y - sprites.y) / np.float32(TILE)).astype(jnp.int32)
     below = jnp.full(len(offsets), row - np.int32(HEIGHT - 1), jnp.int32)
