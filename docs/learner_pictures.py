@@ -210,6 +210,7 @@ def feudal_q() -> Figure:
     learners = {
         "feudal Q-learning, 3 scales": hrl.FeudalQ(step_size=0.5),
         "feudal Q-learning, 2 scales": hrl.FeudalQ(2, step_size=0.5),
+        "the same, ties at random": hrl.FeudalQ(2, step_size=0.5, ties="random"),
         "Q-learning": hrl.QLearning(step_size=0.5),
     }
     env = hrl.make("Gridworld", map="barrier")

@@ -1,8 +1,10 @@
 """Feudal Q-learning: managers over a grid, each of which moves at its own scale."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -10,8 +12,9 @@ from jax import Array, lax
 from hrljax.core import choices
 from hrljax.core.numerics import take, take_row
 from hrljax.envs.base import AnyTabularEnvironment
+from hrljax.hierarchy.policy import HierarchicalPolicy, flat_policy
 from hrljax.learners.base import Context, Learner, LearnerState, Transition, Words
-from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter
+from hrljax.learners.hyperparameters import Hyperparameter, at_episode, hyperparameter, later_option
 from hrljax.learners.updates import Move, moved, td_target
 
 SEARCH = 4
@@ -86,12 +89,12 @@ class FeudalQ(Learner[Feud, Array, Commands]):
         scales: L, from 1 to 12; the regions of scale 1 are squares with ``2 ** (L - 1)`` cells a side. With 1 there is
             one manager, of cells.
         step_size: in (0, 1], or a schedule of the episode.
-        epsilon: probability of a random choice of a manager, or a schedule of the episode. Else the best one, of
-            equally good ones the first.
+        epsilon: probability of a random choice of a manager, or a schedule of the episode. Else the best one.
         discount: g in [0, 1], of a manager's own move.
         initial_value: of every choice.
         move_cost: at least 0. With 0 and no discount all ways to carry out a command are as good.
         failure_cost: at least 0. If it costs less than some moves, managers give up.
+        ties: as of `QLearning`, of a manager's choices.
     """
 
     scales: int = 3
@@ -101,12 +104,14 @@ class FeudalQ(Learner[Feud, Array, Commands]):
     initial_value: Hyperparameter = hyperparameter(0.0)
     move_cost: Hyperparameter = hyperparameter(0.3, 0)
     failure_cost: Hyperparameter = hyperparameter(1.0, 0)
+    ties: choices.Ties = later_option("first")
 
     name = "feudal Q-learning"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_integer("scales", 1, 12)
+        self._check_choice("ties", choices.Ties)
 
     @property
     def num_words(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride] (depends on a field)
@@ -128,8 +133,10 @@ class FeudalQ(Learner[Feud, Array, Commands]):
         return LearnerState(values, Commands((jnp.int32(0),) * prepared.num_levels))
 
     def begin(self, prepared: Feud, tables: Array, first: Array, words: Words, context: Context) -> Commands:
-        every = [jnp.bool_(True)] * prepared.num_levels
-        return self._commanded(prepared, tables, Commands((jnp.int32(0),) * len(every)), every, first, words, context)
+        def choose(level: int, values: list[Array]) -> Array:
+            return self._choice(values, words[level - 1], context)
+
+        return self._commanded(prepared, tables, first, choose)
 
     def action(self, control: Commands) -> Array:
         return control.chosen[-1]
@@ -159,32 +166,43 @@ class FeudalQ(Learner[Feud, Array, Commands]):
             start = prepared.row(level, command, old[level]) + state.control.chosen[level - 1]
             moves.append(Move(start, target[None], is_move))
         tables = moved(state.tables, moves, at_episode(self.step_size, context.episode), context)
-        chooses = [*left[1:-1], jnp.bool_(True)]
-        control = self._commanded(prepared, tables, state.control, chooses, after, words, context)
-        return LearnerState(tables, control)
+        move_is_over = [*left[1:-1], jnp.bool_(True)]
+
+        def choose(level: int, values: list[Array]) -> Array:
+            """Anew, or what was chosen before."""
+            choice = self._choice(values, words[level - 1], context)
+            return lax.select(move_is_over[level - 1], choice, state.control.chosen[level - 1])
+
+        return LearnerState(tables, self._commanded(prepared, tables, after, choose))
+
+    def greedy_policy(
+        self, env: AnyTabularEnvironment, prepared: Feud, tables: Array, context: Context
+    ) -> HierarchicalPolicy:
+        """A flat one: while none explores, a manager chooses anew in every region that it comes to, and under every
+        command, so that the state alone says what all have chosen."""
+
+        def action(state: Array) -> Array:
+            return self._commanded(prepared, tables, state, lambda _, values: choices.greedy(values)[0]).chosen[-1]
+
+        return flat_policy(env, jax.vmap(action)(jnp.arange(env.num_states, dtype=jnp.int32)))
 
     def _values(self, feud: Feud, tables: Array, level: int, command: Array, region: Array) -> list[Array]:
         """Values of what the manager of a level can choose, scalars."""
         row = take_row(tables, feud.row(level, command, region), feud.width)
         return [row[u] for u in range(feud.choices_of(level))]
 
+    def _choice(self, values: list[Array], word: Array, context: Context) -> Array:
+        """What a manager chooses anew: the best, or by epsilon any; as `EpsilonGreedyLearner.choose`."""
+        best = choices.greedy_by(self.ties, values, choices.greedy(values)[0], word)
+        return choices.epsilon_greedy(best, len(values), word, at_episode(self.epsilon, context.episode))
+
     def _commanded(
-        self,
-        feud: Feud,
-        tables: Array,
-        before: Commands,
-        chooses: list[Array],
-        state: Array,
-        words: Words,
-        context: Context,
+        self, feud: Feud, tables: Array, state: Array, choose: Callable[[int, list[Array]], Array]
     ) -> Commands:
-        """From the top down, every manager whose last move is over chooses; the others keep to what they chose."""
-        epsilon, command, chosen = at_episode(self.epsilon, context.episode), jnp.int32(SEARCH), []
+        """What every manager has chosen, from the top down, given a choice by its level and the values there."""
+        command, chosen = jnp.int32(SEARCH), []
         for level in range(1, feud.num_levels + 1):
-            values = self._values(feud, tables, level, command, feud.region_of(level, state))
-            best = choices.greedy(values)[0]
-            choice = choices.epsilon_greedy(best, len(values), words[level - 1], epsilon)
-            command = lax.select(chooses[level - 1], choice, before.chosen[level - 1])
+            command = choose(level, self._values(feud, tables, level, command, feud.region_of(level, state)))
             chosen.append(command)
         return Commands(tuple(chosen))
 

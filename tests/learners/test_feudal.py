@@ -34,7 +34,10 @@ class Manager:
 
     def choose(self, command: str, region: tuple[int, int], word: int) -> None:
         explores = word < math.ceil(float(F(self.learner.epsilon)) * 2**24)
-        self.choice = word % self.choices if explores else int(np.argmax(self.values(command, region)))
+        values = self.values(command, region)
+        best = np.flatnonzero(values == values.max())
+        greedy = int(best[word % len(best) if self.learner.ties == "random" else 0])
+        self.choice = word % self.choices if explores else greedy
 
 
 class Feudal:
@@ -63,12 +66,10 @@ class Feudal:
 
     def learn(self, state: int, reward: F, after: int, terminated: bool, words: list[int]) -> None:
         size, gamma = F(self.learner.step_size), F(self.learner.discount)
-        moved = []
         for level, manager in enumerate(self.managers):
             command, around = self.command(level), self.region(level, state)
             here, there = self.region(level + 1, state), self.region(level + 1, after)
-            moved.append(here != there or manager is self.managers[-1])
-            if not (moved[-1] or terminated):
+            if here == there and manager is not self.managers[-1] and not terminated:
                 continue
             over = around != self.region(level, after) or terminated
             if command == "search":
@@ -81,9 +82,12 @@ class Feudal:
             follows = F(0) if over else manager.values(command, there).max()
             values = manager.values(command, here)
             values[manager.choice] += size * (earned + gamma * follows - values[manager.choice])
-        for level, manager in enumerate(self.managers):
-            if moved[level]:
-                manager.choose(self.command(level), self.region(level + 1, after), words[level])
+        self.choose_anew(state, after, words)
+
+    def choose_anew(self, state: int, after: int, words: list[int]) -> None:
+        for level, manager in enumerate(self.managers, start=1):
+            if level == len(self.managers) or self.region(level, state) != self.region(level, after):
+                manager.choose(self.command(level - 1), self.region(level, after), words[level - 1])
 
     def compare(self, learned: Any, env: Any) -> None:
         prepared, learned = feud(env, self.learner.scales), np.asarray(learned)
@@ -95,10 +99,14 @@ class Feudal:
                 np.testing.assert_array_equal(learned[start : start + len(values)], values)
 
 
-@pytest.mark.parametrize(("env", "scales"), [(GRID, 3), (GRID, 1), (MAZE, 2)], ids=["grid", "one scale", "maze"])
-def test_a_run_gives_the_numbers_of_plain_python(env: Any, scales: int):
+@pytest.mark.parametrize(
+    ("env", "scales", "ties"),
+    [(GRID, 3, "first"), (GRID, 2, "random"), (GRID, 1, "first"), (MAZE, 2, "first")],
+    ids=["grid", "random ties", "one scale", "maze"],
+)
+def test_a_run_gives_the_numbers_of_plain_python(env: Any, scales: int, ties: Any):
     params = env.default_params._replace(slip_probability=0.25, max_steps=60)
-    learner = FeudalQ(scales, 0.5, 0.25, 0.93, 0.125, 0.3, 0.7)
+    learner = FeudalQ(scales, 0.5, 0.25, 0.93, 0.125, 0.3, 0.7, ties=ties)
     run = jax.jit(lambda key: hrljax.train(env, learner, key, EPISODES, params=params, bin_size=1))(KEY)
     program = Feudal(learner, env)
     walk = train_in_python(program, PythonEnv(env, params), EPISODES)
@@ -109,6 +117,26 @@ def test_a_run_gives_the_numbers_of_plain_python(env: Any, scales: int):
         set(COMMANDS) if scales > 1 else {"search"}
     )
     assert 0 < walk.truncated < EPISODES or scales == 1
+
+
+def test_the_greedy_policy_is_what_managers_do_that_do_not_explore():
+    """Each keeps its choice until it has left its region; the exact value goes by the state alone."""
+    learner, episodes = FeudalQ(3, 0.5, 0.25), 200
+    run = jax.jit(lambda key: hrljax.train(GRID, learner, key, episodes, bin_size=episodes, evaluate_every=1))(KEY)
+    env, program = PythonEnv(GRID, GRID.default_params), Feudal(learner, GRID)
+    train_in_python(program, env, episodes)
+    program.compare(run.learned, GRID)
+    words, returns = [2**24 - 1] * 3, []
+    for state in np.flatnonzero(GRID.initial_distribution()).tolist():
+        program.begin(0, state, words)
+        terminated, total = False, 0.0
+        while not terminated and total > -60:
+            after, reward, terminated, _ = env.step(state, program.action, [0] * len(env.cuts))
+            program.choose_anew(state, after, words)
+            state, total = after, total + float(reward)
+        assert terminated
+        returns.append(total)
+    assert float(run.greedy_return[0]) == pytest.approx(np.mean(returns), rel=1e-6)
 
 
 def test_one_scale_is_q_learning_for_its_own_rewards():

@@ -88,6 +88,6 @@ def test_a_file_of_what_was_learned_keeps_the_choice(tmp_path: Path):
 
 
 def test_other_choices_are_refused():
-    for make in LEARNERS.values():
+    for make in (*LEARNERS.values(), hrl.FeudalQ):
         with pytest.raises(ValueError, match="ties must be one of 'first', 'random', got 'last'"):
             make(ties="last")
