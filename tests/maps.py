@@ -3,6 +3,7 @@
 import numpy as np
 
 import hrljax
+from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.solvers import Model
 
 SMALL = hrljax.make(
@@ -25,6 +26,11 @@ def written_over(text: str, row: int, column: int, new: str) -> str:
     lines = text.splitlines()
     lines[row - 1] = lines[row - 1][: column - 1] + new + lines[row - 1][column - 1 + len(new) :]
     return "\n".join(lines)
+
+
+def optimum(env: AnyTabularEnvironment) -> float:
+    """What the best policy earns in an episode without a limit of steps."""
+    return float(env.initial_distribution() @ hrljax.solvers.value_iteration(env.model()).value)
 
 
 def occurring(model: Model, starts: np.ndarray) -> np.ndarray:

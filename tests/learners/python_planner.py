@@ -9,6 +9,7 @@ import numpy as np
 from hrljax.core import random
 from hrljax.learners.effects import FactoredModel
 from hrljax.learners.tree_planner import TreePlanner
+from tests.learners.python_run import settled
 from tests.trees.python_trees import grown, leaves
 
 F = np.float32
@@ -92,13 +93,14 @@ class Planner:
             [self.tree(kind, number, words) for number in range(self.num_trees)] for kind in range(len(self.counts))
         ]
         backed_up = self.outcomes()
-        self.q = self.settled(self.q, lambda q: backed_up(q))
+        self.q, _ = settled(self.learner, self.q, backed_up)
         if self.learner.explores:
             self.is_fresh = self.is_exploring(state)
             if self.is_fresh:
                 known = (self.visits() >= self.learner.known_after) | ~self.allowed
-                self.exploring = self.settled(
-                    self.exploring, lambda q: np.where(known, backed_up(q), F(self.learner.optimistic_value))
+                optimistic = F(self.learner.optimistic_value)
+                self.exploring, _ = settled(
+                    self.learner, self.exploring, lambda q: np.where(known, backed_up(q), optimistic)
                 )
 
     def tree(self, kind: int, number: int, words: Any) -> list[Any]:
@@ -170,13 +172,6 @@ class Planner:
             after = int(self.states.number[self.states.place([value for _, value in row])])
             result.append((weight, state if after < 0 else after))
         return result
-
-    def settled(self, q: np.ndarray, sweep: Any) -> np.ndarray:
-        for _ in range(self.learner.planning_sweeps):
-            before, q = q, sweep(q)
-            if np.abs(q - before).max() <= F(self.learner.planning_tolerance):
-                break
-        return q
 
 
 def drawn(key: Any, numbers: jax.Array, count: int) -> jax.Array:

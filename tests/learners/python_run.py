@@ -1,5 +1,6 @@
 """Flat learners side by side with plain-Python programs, on a small Bus domain; and under every mapping."""
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, Protocol
 
@@ -33,6 +34,15 @@ class Program(Protocol):
 def choose(q: np.ndarray, state: int, word: int, epsilon: float) -> int:
     """Epsilon-greedily; `epsilon` is a multiple of 1/8."""
     return word % 4 if word < epsilon * 2**24 else int(np.argmax(q[state * 4 : state * 4 + 4]))
+
+
+def settled(learner: Any, q: np.ndarray, sweep: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, bool]:
+    """Values after sweeps until one changes none by more than the learner's tolerance; whether one did not."""
+    for _ in range(learner.planning_sweeps):
+        before, q = q, sweep(q)
+        if np.abs(q - before).max() <= F(learner.planning_tolerance):
+            return q, True
+    return q, False
 
 
 @jax.jit

@@ -11,6 +11,7 @@ import pytest
 import hrljax
 from hrljax.learners.feudal import SEARCH, FeudalQ, feud
 from tests.learners.python_levels import PythonEnv, train_in_python
+from tests.maps import optimum
 from tests.words import KEY
 
 F = np.float32
@@ -157,7 +158,7 @@ def test_it_learns_its_maze():
         env = hrljax.make("Gridworld", map=grid)
         learner = FeudalQ(scales, 0.5, optax.linear_schedule(0.1, 0.0, 150))
         curves = hrljax.sweep(env, learner, seeds=20, num_episodes=200, bin_size=20, progress=False)
-        best = -float(env.initial_distribution() @ hrljax.solvers.value_iteration(env.model()).value)
+        best = -optimum(env)
         lengths = curves["length"].mean("seed").values
         assert best <= lengths[-1] < 1.5 * best < lengths[0] / 5, (grid, best, lengths)
 

@@ -15,6 +15,7 @@ from tests.learners.python_run import (
     assert_runs_as,
     assert_same_under_every_mapping,
     choose,
+    settled,
     trained,
 )
 from tests.maps import SMALL
@@ -45,17 +46,19 @@ class OptimisticModel:
     def plan(self) -> None:
         self.plans += 1
         share = F(1 / self.learner.known_after)
-        for _ in range(self.learner.planning_sweeps):
-            before, value = self.q.copy(), self.q.reshape(-1, 4).max(1)
+
+        def sweep(q: np.ndarray) -> np.ndarray:
+            value, new = q.reshape(-1, 4).max(1), q.copy()
             for pair, seen in self.outcomes.items():
                 if len(seen) == self.learner.known_after:
                     reward, follows = F(0), F(0)
                     for earned, after in seen:
                         reward, follows = reward + earned, follows + (F(0) if after is None else value[after])
-                    self.q[pair] = reward * share + F(self.learner.discount) * (follows * share)
-            if np.abs(self.q - before).max() <= F(self.learner.planning_tolerance):
-                self.settled += 1
-                return
+                    new[pair] = reward * share + F(self.learner.discount) * (follows * share)
+            return new
+
+        self.q, is_settled = settled(self.learner, self.q, sweep)
+        self.settled += is_settled
 
 
 @pytest.mark.parametrize(
