@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import hrljax as hrl
@@ -11,7 +12,15 @@ import hrljax as hrl
 SEEDS = 100
 
 
-def curves(
+def curves(env: Any, learners: Mapping[str, Any], episodes: int, **options: Any) -> Figure:
+    """A picture of what `draw_curves` draws."""
+    figure = Figure(figsize=(7.5, 4), layout="constrained")
+    draw_curves(figure.subplots(), env, learners, episodes, **options)
+    return figure
+
+
+def draw_curves(
+    ax: Axes,
     env: Any,
     learners: Mapping[str, Any],
     episodes: int,
@@ -21,19 +30,22 @@ def curves(
     title: str,
     params: Any = None,
     seeds: int = SEEDS,
-) -> Figure:
-    """Returns per episode, exploration included, and the exact optimum."""
+) -> None:
+    """Returns per episode, exploration included, and the exact optimum; prints what pages say of the curves."""
     runs = {
         name: hrl.sweep(env, learner, seeds=seeds, num_episodes=episodes, params=params, progress=False)
         for name, learner in learners.items()
     }
     optimum = env.initial_distribution(params) @ hrl.solvers.value_iteration(env.model(params)).value
-    figure = Figure(figsize=(7.5, 4), layout="constrained")
-    ax = figure.subplots()
     hrl.plots.learning_curves(runs, window=window, ax=ax, references={"optimum": float(optimum)})
     ax.set_title(f"{title}, {seeds} seeds")
     ax.set_ylim(lowest, float(optimum) + 0.06 * (float(optimum) - lowest))
-    return figure
+    for name, run in runs.items():
+        returns = run["return"]
+        parts = {"last eighth": returns[:, -max(1, run.sizes["episode"] // 8) :], "all": returns}
+        means = {part: hrl.stats.mean_interval(of.mean("episode")) for part, of in parts.items()}
+        said = [f"{part} {float(of['mean']):.2f} ± {float(of['high'] - of['mean']):.2f}" for part, of in means.items()]
+        print(f"{title}, {name}: {', '.join(said)}", flush=True)
 
 
 def rooms(learners: Mapping[str, Any], episodes: int = 150) -> Figure:
@@ -195,15 +207,17 @@ def biased_roots() -> Figure:
     """HORDQ under roots whose models are biased."""
     env = hrl.make("Bus")
     subtasks = {"hierarchy": env.hierarchy(), "initial_value": -25.0}
-    trees = hrl.RLDTRoot(refit_interval=2000, planning_sweeps=50, max_rewards=8)
+    trees = hrl.RLDTRoot(refit_interval=2000, planning_sweeps=50)
     linear = hrl.LinearRoot(hrl.variable_features(env))
     learners = {
         "shared HORDQ, RL-DT root": hrl.SharedHORDQ(root=trees, **subtasks),
         "shared HORDQ, linear root": hrl.SharedHORDQ(root=linear, **subtasks),
+        "HORDQ, pseudo_reward=5, RL-DT root": hrl.HORDQ(root=trees, pseudo_reward=5.0, **subtasks),
         "HORDQ, pseudo_reward=5, linear root": hrl.HORDQ(root=linear, pseudo_reward=5.0, **subtasks),
+        "HORDQ, fading, RL-DT root": hrl.HORDQ(root=trees, pseudo_reward=hrl.Fading(), **subtasks),
         "Q-learning": hrl.QLearning(initial_value=-25.0),
     }
-    return curves(env, learners, 20_000, window=1000, lowest=-60, title="Bus", seeds=4)
+    return curves(env, learners, 20_000, window=1000, lowest=-60, title="Bus", seeds=12)
 
 
 def feudal_q() -> Figure:
