@@ -23,6 +23,8 @@ import learner_pictures
 from learner_pictures import SEEDS
 
 import hrljax as hrl
+from hrljax.experiments import mario_hybrid
+from hrljax.experiments.mario_search_picture import largest_search, search_picture
 from hrljax.interop.gymnasium import from_table
 
 DOCS = Path(__file__).parent
@@ -157,6 +159,14 @@ def frozen_lake() -> Figure:
         curves, window=100, ax=figure.subplots(), references={"optimum, slippery, without a limit": float(optimum)}
     )
     return figure
+
+
+@picture("search")
+def search() -> Figure:
+    """The largest search of a game of the best agent with a given model."""
+    agent = mario_hybrid.trained(mario_hybrid.environment(), mario_hybrid.BEST_GIVEN, 1000, jax.random.key(0))
+    game = mario_hybrid.best_game(agent, tries=20)
+    return search_picture(agent, game, largest_search(agent, game))
 
 
 def task_graph(env: Any) -> Figure:

@@ -15,6 +15,7 @@ from hrljax.envs.mario.env import Mario
 from hrljax.envs.mario.play import Step
 from hrljax.experiments.mario_hybrid import Agent
 from hrljax.experiments.mario_search_picture import largest_search, search_picture
+from hrljax.search.a_star import AStarResult, a_star_search
 from hrljax.search.best_first import SearchResult, best_first_search
 
 POINTS = 2
@@ -36,6 +37,19 @@ def search(nodes: Any, episode: Episode) -> SearchResult:
     player = episode.world.player
     max_nodes = int(player.x) // 10
     return best_first_search(model, Place(player.x, player.y), 2, depth=3, max_nodes=max_nodes, stop_reward=100.0)
+
+
+def a_star(nodes: Any, episode: Episode) -> AStarResult:
+    """Up costs one step and right two; of the six tiles to the goal every three are estimated at one."""
+    player = episode.world.player
+
+    def costly(place: Place, action: Array) -> tuple[Place, Array]:
+        return model(place, action)[0], jnp.float32(1) + action.astype(jnp.float32)
+
+    def estimate(place: Place) -> Array:
+        return jnp.maximum((player.x + 96 - place.x) / 48, 0)
+
+    return a_star_search(costly, Place(player.x, player.y), 2, estimate, depth=3, max_expansions=10)
 
 
 ENV = Mario(preset="thesis")
@@ -72,6 +86,25 @@ def test_the_picture_has_the_tree_the_plan_and_what_followed():
     assert len(segments) == 4
     assert {tuple(end) for _, end in segments} == {tuple(dot) for dot in np.asarray(dots.get_offsets())[1:]}
     assert axes.get_title() == "4 nodes; the plan promises +6.00"
+
+
+def test_the_picture_of_a_star_has_the_nodes_that_were_looked_on_from():
+    agent = cast(Agent, SimpleNamespace(env=ENV, tables=(), search=a_star))
+    axes = search_picture(agent, GAME, 1).axes[0]
+    plan, really = (np.asarray(line.get_xydata()) for line in axes.get_lines())
+    # Of equal f, that of the way which was generated first comes first: up, right, up up, up right, right up.
+    expanded = [[40, 190], [40, 174], [88, 190], [40, 158], [88, 174], [88, 174]]
+    parents = [0, 0, 1, 1, 2]
+    # The plan is to go right twice; its end is not looked on from. Two steps followed.
+    np.testing.assert_allclose(plan, POINTS * np.array([expanded[0], expanded[2]]))
+    np.testing.assert_allclose(really, POINTS * np.array([[40, 190], [60, 180], [80, 160]]))
+    (lines,) = (artist for artist in axes.collections if isinstance(artist, LineCollection))
+    (dots,) = (artist for artist in axes.collections if isinstance(artist, PathCollection))
+    np.testing.assert_allclose(np.asarray(dots.get_offsets()), POINTS * np.array(expanded))
+    ends = [(expanded[parent], expanded[i]) for i, parent in enumerate(parents, start=1)]
+    np.testing.assert_allclose(np.asarray(lines.get_segments()), POINTS * np.array(ends))
+    np.testing.assert_allclose(np.asarray(dots.get_array()), [0, 1, 2, 2, 3, 3])
+    assert axes.get_title() == "6 nodes expanded; the plan costs 4.0 steps"
 
 
 def test_the_picture_is_wide_enough_for_everything():
