@@ -85,6 +85,7 @@ SHORT = {"params": BusParams(max_steps=40)}
 """Short episodes, which are quick to evaluate."""
 
 
+@pytest.mark.slow
 def test_evaluation_changes_no_run_and_has_one_result():
     evaluated = swept(**SHORT, evaluate_every=2)
     assert evaluated["greedy_return"].shape == (SEEDS, 2)

@@ -56,7 +56,13 @@ class Learned(NamedTuple):
     choice: np.ndarray  # [S, tasks], 0 where the root never decides
 
 
-@pytest.fixture(scope="module", params=[hrljax.RandomRoot(), hrljax.ModelRoot()], ids=["random", "model"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(hrljax.RandomRoot(), id="random"),
+        pytest.param(hrljax.ModelRoot(), id="model", marks=pytest.mark.slow),
+    ],
+)
 def learned(request: pytest.FixtureRequest) -> Learned:
     learner = hrljax.HORDQ(SMALL.hierarchy(), request.param, pseudo_reward=5.0, initial_value=-12.0)
     run = jax.jit(lambda key: hrljax.train(SMALL, learner, key, 200))(jax.random.key(2))

@@ -73,7 +73,7 @@ def test_runs_that_plan_together_plan_when_they_would_alone(mapping: Any, bin_si
     np.testing.assert_array_equal(swept["learned.plans"], steps_before.shape[1])
 
 
-@pytest.mark.parametrize("bin_size", [1, 7])
+@pytest.mark.parametrize("bin_size", [1, pytest.param(7, marks=pytest.mark.slow)])
 def test_a_run_that_waits_does_not_begin_another_episode(bin_size: int):
     """Where a step from the start may be the last one, a run that waits for others would take it over and over."""
     beside_the_goal = hrljax.make("Gridworld", map="SG\n..\n..\n")

@@ -29,7 +29,7 @@ def test_a_step_reports_its_absolute_td_error(learner: Any, old: float):
     assert after.tables[3 * 4 + 2] == old + 0.5 * error
 
 
-@pytest.mark.parametrize("mapping", ["native", "vmap"])
+@pytest.mark.parametrize("mapping", ["native", pytest.param("vmap", marks=pytest.mark.slow)])
 def test_the_column_is_in_sweeps_and_stores_and_changes_nothing_else(mapping: Any, tmp_path: Path):
     plain = hrljax.sweep(SMALL, hrljax.QLearning(), mapping=mapping, **OPTIONS)
     told = hrljax.sweep(

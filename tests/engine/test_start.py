@@ -80,6 +80,7 @@ def test_a_sweep_in_two_parts_is_the_sweep_in_one(halves: tuple[xr.Dataset, ...]
             xr.testing.assert_equal(rest[name], whole[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"mapping": "vmap"}, {"chunk_size": 1}])
 def test_a_continuation_does_not_depend_on_the_batch(halves: tuple[xr.Dataset, ...], options: Any):
     first, rest, _, learner = halves
@@ -91,6 +92,7 @@ def test_a_continuation_does_not_depend_on_the_batch(halves: tuple[xr.Dataset, .
     xr.testing.assert_equal(again, expected.drop_vars([v for v in rest.data_vars if v not in again]))
 
 
+@pytest.mark.slow
 def test_a_continued_run_can_be_saved_and_continued_again(halves: tuple[xr.Dataset, ...], tmp_path: Path):
     first, rest, whole, learner = halves
     for dataset, episodes in ((first, FIRST), (rest, FIRST + SECOND), (whole, FIRST + SECOND)):
@@ -104,6 +106,7 @@ def test_a_continued_run_can_be_saved_and_continued_again(halves: tuple[xr.Datas
     assert_same(run.metrics["return"], rest["return"].sel(seed=1, pseudo_reward=5.0).values.astype(np.float32))
 
 
+@pytest.mark.slow
 def test_every_run_of_a_sweep_goes_on_from_one_that_was_learned(halves: tuple[xr.Dataset, ...]):
     first, _, _, learner = halves
     one = hrl.Learned.of(first, SMALL, learner, seed=1, at={"pseudo_reward": 5.0})
@@ -114,6 +117,7 @@ def test_every_run_of_a_sweep_goes_on_from_one_that_was_learned(halves: tuple[xr
     assert again["episode"].values[0] == FIRST + 3
 
 
+@pytest.mark.slow
 def test_a_store_knows_what_its_sweep_started_from(halves: tuple[xr.Dataset, ...], tmp_path: Path):
     first, rest, _, learner = halves
     options: Any = {"seeds": 2, "num_episodes": SECOND, "axes": {"pseudo_reward": [0.0, 5.0]}, "bin_size": 3}

@@ -81,7 +81,7 @@ def test_a_sweep_of_numpys_numbers_fits_into_a_store(tmp_path: Any):
     assert same.attrs["complete"] == 1
 
 
-@pytest.mark.parametrize("env", ["Maze", "Bus"])
+@pytest.mark.parametrize("env", [pytest.param("Maze", marks=pytest.mark.slow), "Bus"])
 def test_runs_of_a_users_own_vmap_have_the_bits_of_single_ones(env: str):
     """With tables so large that XLA would read them on several cores: one for each run, or one that all share."""
 

@@ -84,7 +84,9 @@ def mean_return(chances: np.ndarray) -> float:
     return float(initial @ np.nansum(chances * under_obedience(chances), -1))
 
 
-@pytest.mark.parametrize("task", range(len(HIERARCHY.subtasks) - 1))
+@pytest.mark.parametrize(
+    "task", [0, *(pytest.param(task, marks=pytest.mark.slow) for task in range(1, len(HIERARCHY.subtasks) - 1))]
+)
 def test_a_subtask_that_obeys_strictly_is_the_likeliest_to_reach_its_goal(task: int):
     """Among those that are, it is the one that earns most."""
     follows, reward, active, goal, policy = plain()

@@ -50,6 +50,7 @@ def test_it_writes_pictures_a_table_and_stores(written: Path):
     assert sorted(path.name for path in (written / "stores").iterdir()) == [f"Maze-{name}.zarr" for name in learners]
 
 
+@pytest.mark.slow
 def test_its_summary_and_its_csv_are_those_of_its_stores(written: Path):
     summary = json.loads((written / "summary.json").read_text())
     assert set(summary) == {"exact", "best", "comparisons"}
@@ -80,6 +81,7 @@ def test_its_summary_and_its_csv_are_those_of_its_stores(written: Path):
         assert row["steps_per_second"] > 0
 
 
+@pytest.mark.slow
 def test_its_numbers_are_those_of_one_sweep_over_both_axes(written: Path):
     (maze,) = (domain for domain in learning_rates.domains() if domain.name == "Maze")
     axes = {"step_size": [0.1, 0.5], "pseudo_reward": [0.0, 20.0]}

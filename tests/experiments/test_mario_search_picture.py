@@ -66,6 +66,7 @@ def step(x: float, y: float, phase: int = PLAYING) -> Step:
 GAME = [step(100, 150), step(40, 190), step(60, 180), step(80, 160), step(300, 150, OBSERVED)]
 
 
+@pytest.mark.slow
 def test_the_largest_search_is_of_a_moment_that_goes_on():
     assert largest_search(AGENT, GAME) == 0
     assert largest_search(AGENT, GAME[1:]) == 2
@@ -107,6 +108,7 @@ def test_the_picture_of_a_star_has_the_nodes_that_were_looked_on_from():
     assert axes.get_title() == "6 nodes expanded; the plan costs 4.0 steps"
 
 
+@pytest.mark.slow
 def test_the_picture_is_wide_enough_for_everything():
     shapes = {}
     for number in (0, 3):

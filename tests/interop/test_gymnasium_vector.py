@@ -76,7 +76,10 @@ QUICK: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", [name for name in hrl.registered() if name != "Mario"])
-@each_mode
+@pytest.mark.parametrize(
+    "mode",
+    [mode if mode == AutoresetMode.NEXT_STEP else pytest.param(mode, marks=pytest.mark.slow) for mode in AutoresetMode],
+)
 def test_every_environment_is_batched_as_it_is_alone(mode: AutoresetMode, name: str):
     env_id = f"hrljax/{name}-v0"
     num_actions = gymnasium.make(env_id).action_space.n

@@ -38,6 +38,7 @@ def test_the_key_decides_what_happens():
     assert set(env.metrics) < set(first)
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_memory_forgets_it_before_the_episode():
     env = hrl.make("Bus")
     learner = hrl.HORDQ(env.hierarchy(), pseudo_reward=5.0, initial_value=-25.0)

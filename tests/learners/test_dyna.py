@@ -61,7 +61,7 @@ class Dyna:
         self.q[pair] += F(self.learner.step_size) * (target - self.q[pair])
 
 
-@pytest.mark.parametrize("kept", [1, 3])
+@pytest.mark.parametrize("kept", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_a_run_gives_the_numbers_of_plain_python(kept: int):
     learner = DynaQ(0.3, 0.125, 0.97, -25.0, planning_steps=4, outcomes_kept=kept)
     program = Dyna(learner)
@@ -69,12 +69,13 @@ def test_a_run_gives_the_numbers_of_plain_python(kept: int):
     assert max(map(len, program.outcomes.values())) == kept
 
 
-@pytest.mark.parametrize("kept", [1, 2])
+@pytest.mark.parametrize("kept", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_without_planning_it_is_q_learning(kept: int):
     numbers = {"step_size": 0.3, "epsilon": 0.2, "discount": 0.97, "initial_value": -20.0}
     assert_same_run(DynaQ(**numbers, planning_steps=0, outcomes_kept=kept), hrljax.QLearning(**numbers))
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping():
     learner = DynaQ(planning_steps=3, outcomes_kept=2, discount=0.97, initial_value=-25.0)
     assert_same_under_every_mapping(learner, {"step_size": [0.1, 0.7]})

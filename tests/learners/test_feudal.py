@@ -102,8 +102,12 @@ class Feudal:
 
 @pytest.mark.parametrize(
     ("env", "scales", "ties"),
-    [(GRID, 3, "first"), (GRID, 2, "random"), (GRID, 1, "first"), (MAZE, 2, "first")],
-    ids=["grid", "random ties", "one scale", "maze"],
+    [
+        pytest.param(GRID, 3, "first", id="grid", marks=pytest.mark.slow),
+        pytest.param(GRID, 2, "random", id="random ties"),
+        pytest.param(GRID, 1, "first", id="one scale", marks=pytest.mark.slow),
+        pytest.param(MAZE, 2, "first", id="maze"),
+    ],
 )
 def test_a_run_gives_the_numbers_of_plain_python(env: Any, scales: int, ties: Any):
     params = env.default_params._replace(slip_probability=0.25, max_steps=60)
@@ -163,6 +167,7 @@ def test_it_learns_its_maze():
         assert best <= lengths[-1] < 1.5 * best < lengths[0] / 5, (grid, best, lengths)
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping():
     params = GRID.default_params._replace(slip_probability=0.25, max_steps=60)
     options = {"seeds": 3, "num_episodes": 12, "bin_size": 1, "params": params, "progress": False}

@@ -103,7 +103,8 @@ class Regressing:
         self.q, _ = settled(self.learner, self.q, sweep)
 
 
-@pytest.mark.parametrize(("epsilon", "discount"), [(0.125, 0.97), pytest.param(0.75, 1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("epsilon", "discount"), [(0.125, 0.97), (0.75, 1.0)])
 def test_a_run_gives_the_numbers_of_plain_python(epsilon: float, discount: float):
     learner = KWIKRMax(epsilon=epsilon, discount=discount, known_below=0.25, planning_sweeps=15, planning_tolerance=0.5)
     program = Regressing(learner)
@@ -118,6 +119,7 @@ def test_a_seed_has_one_result_under_every_mapping():
     assert_same_under_every_mapping(learner, {"known_below": [0.1, 0.3]})
 
 
+@pytest.mark.slow
 def test_a_step_that_is_not_live_changes_nothing():
     assert_learns_only_when_live(KWIKRMax(known_below=0.45, planning_sweeps=5, optimistic_value=5.0, discount=0.5))
 

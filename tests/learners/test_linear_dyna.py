@@ -121,9 +121,16 @@ class PlainDyna:
         return self.begin(after, words)
 
 
-@pytest.mark.parametrize("planning", ["mg", "random"])
-@pytest.mark.parametrize("features", [random_features(9, 3), random_features(50, 1)], ids=["dense", "one active"])
-def test_a_run_gives_the_numbers_of_plain_python(planning: Any, features: Features):
+@pytest.mark.parametrize(
+    ("features", "planning"),
+    [
+        pytest.param(random_features(9, 3), "mg", id="dense-mg"),
+        pytest.param(random_features(50, 1), "mg", id="one active-mg", marks=pytest.mark.slow),
+        pytest.param(random_features(9, 3), "random", id="dense-random", marks=pytest.mark.slow),
+        pytest.param(random_features(50, 1), "random", id="one active-random", marks=pytest.mark.slow),
+    ],
+)
+def test_a_run_gives_the_numbers_of_plain_python(features: Features, planning: Any):
     learner = LinearDyna(features, 0.25, 0.5, 0.5, 0.75, -4.0, planning_steps=3, planning=planning)
     program = PlainDyna(learner, features)
     assert_runs_as(program, learner)
@@ -135,7 +142,8 @@ def test_one_feature_a_state_is_a_table():
     assert_runs_as(PlainDyna(learner, state_features(SMALL)), learner)
 
 
-@pytest.mark.parametrize("planning", ["mg", pytest.param("random", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("planning", ["mg", "random"])
 def test_a_seed_has_one_result_under_every_mapping(planning: Any):
     learner = LinearDyna(random_features(9, 3), discount=0.75, planning_steps=2, planning=planning)
     assert_same_under_every_mapping(learner, {"step_size": [0.1, 0.3], "model_step_size": [0.2]})

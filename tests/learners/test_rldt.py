@@ -44,6 +44,7 @@ class Learning(Planner):
         return self.chosen(after, words[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "learner",
     [
@@ -58,20 +59,17 @@ class Learning(Planner):
             planning_tolerance=0.5,
             max_nodes=41,
         ),
-        pytest.param(
-            SPITI(
-                ties="first",
-                epsilon=0.75,
-                least_value=-50.0,
-                least_score=3.0,
-                refit_interval=300,
-                num_trees=2,
-                left_out=0.25,
-                max_rewards=1,
-                max_outcomes=5,
-                max_nodes=21,
-            ),
-            marks=pytest.mark.slow,
+        SPITI(
+            ties="first",
+            epsilon=0.75,
+            least_value=-50.0,
+            least_score=3.0,
+            refit_interval=300,
+            num_trees=2,
+            left_out=0.25,
+            max_rewards=1,
+            max_outcomes=5,
+            max_nodes=21,
         ),
     ],
     ids=str,
@@ -96,6 +94,7 @@ def test_a_forest_has_one_result_under_every_mapping():
     assert_same_under_every_mapping(learner, {"left_out": [0.0, 0.5]})
 
 
+@pytest.mark.slow
 def test_a_step_that_is_not_live_changes_nothing():
     assert_learns_only_when_live(RLDT(discount=0.5, known_after=2, planning_sweeps=1))
 
@@ -191,6 +190,7 @@ def test_rewards_beyond_the_last_place_count_as_the_nearest():
     assert counts[1 * model.trees.width + first :][:2].tolist() == [3, 2]
 
 
+@pytest.mark.slow
 def test_no_value_is_greater_than_what_any_policy_can_earn():
     """Of a corridor in which every step earns 1, so that trees believe in going to and fro for ever."""
     options = {"num_episodes": 2, "params": CORRIDOR.default_params._replace(step_reward=1.0, max_steps=30)}
@@ -208,6 +208,7 @@ def test_spiti_finds_a_passenger_that_chance_alone_delivers():
     np.testing.assert_allclose(curves["greedy_return"].max("checkpoint"), optimum(env), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_optimum_is_reached_in_a_few_episodes():
     """Of four rooms, where R-MAX has to try every action in every cell."""
     env = hrljax.make("Gridworld")

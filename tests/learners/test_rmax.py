@@ -109,6 +109,7 @@ def test_the_values_are_the_optimal_ones_of_the_model_of_known_pairs():
     np.testing.assert_allclose(learned.values, q, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_optimum_is_near_where_thirty_visits_tell_much():
     slippery = CERTAIN._replace(slip_probability=0.1, max_steps=200)
     options = {"seeds": 4, "num_episodes": 8000, "bin_size": 4000, "evaluate_every": 1, "progress": False}
@@ -119,6 +120,7 @@ def test_the_optimum_is_near_where_thirty_visits_tell_much():
     assert gap[:, 0].mean() < 0.3
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_result_under_every_mapping():
     learner = RMax(epsilon=0.5, known_after=2, planning_sweeps=20, discount=0.97)
     assert_same_under_every_mapping(learner, {"optimistic_value": [-8.0, -20.0]}, episodes=40)

@@ -129,8 +129,8 @@ CASES = {
 @pytest.mark.parametrize(
     ("case", "which"),
     [
-        ("HORDQ", "RL-DT"),
-        ("shared", "linear"),
+        pytest.param("shared", "linear", marks=pytest.mark.slow),
+        pytest.param("HORDQ", "RL-DT", marks=pytest.mark.slow),
         pytest.param("HORDQ", "linear", marks=pytest.mark.slow),
         pytest.param("shared", "RL-DT", marks=pytest.mark.slow),
     ],

@@ -55,7 +55,7 @@ def test_the_first_action_of_an_episode_without_knowledge_is_any(epsilon: float)
 
 
 @pytest.mark.parametrize(
-    "name", [name if name == "HORDQ" else pytest.param(name, marks=pytest.mark.slow) for name in LEARNERS]
+    "name", [name if name == "Q-learning" else pytest.param(name, marks=pytest.mark.slow) for name in LEARNERS]
 )
 def test_every_learner_may_break_ties_at_random_under_every_mapping(name: str):
     """Without exploration: the first action is always the same one if the first of equally good ones is taken."""

@@ -135,7 +135,12 @@ LEARNERS = {
 }
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+QUICK = {"replacing, short", "Q(lambda) accumulating"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in LEARNERS]
+)
 def test_a_run_gives_the_numbers_of_plain_python(name: str):
     assert_runs_as(Traced(LEARNERS[name]), LEARNERS[name])
 
@@ -148,13 +153,14 @@ def test_accumulating_traces_are_those_of_the_textbook():
     np.testing.assert_allclose(program.q, program.textbook, atol=1e-4)
 
 
-@pytest.mark.parametrize("trace", ["accumulating", "replacing"])
+@pytest.mark.parametrize("trace", [pytest.param("accumulating", marks=pytest.mark.slow), "replacing"])
 def test_without_decay_they_are_the_learners_of_one_step(trace: str):
     numbers = {"step_size": 0.3, "epsilon": 0.2, "discount": 0.97, "initial_value": -20.0}
     assert_same_run(SARSALambda(**numbers, trace_decay=0.0, trace=trace), hrljax.SARSA(**numbers))
     assert_same_run(QLambda(**numbers, trace_decay=0.0, trace=trace), hrljax.QLearning(**numbers))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("learner", "axes"),
     [

@@ -152,6 +152,7 @@ def test_every_node_is_that_of_plain_python(name: str):
         assert_equals_python(jax.tree.map(lambda x, i=i: x[i], results), problem, num_actions, **options)
 
 
+@pytest.mark.slow
 def test_vmap_gives_the_same():
     num_actions, options = SETTINGS["places"]
     problems = [random_problem(seed, num_actions) for seed in range(20)]

@@ -201,7 +201,9 @@ def test_every_node_is_that_of_plain_python_under_both_mappings(name: str):
             assert_equals_python(jax.tree.map(lambda x, i=i: x[i], results), table, num_actions, **options)
 
 
-@pytest.mark.parametrize(("mapping", "loop"), [("native", "while"), ("vmap", "scan")])
+@pytest.mark.parametrize(
+    ("mapping", "loop"), [("native", "while"), pytest.param("vmap", "scan", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("count", ["generated", "expanded"])
 def test_a_number_of_nodes_that_is_known_late_gives_the_same(mapping: Any, loop: str, count: Any):
     num_actions, options = 4, {"depth": 5, "count": count, "answer": "sequence"}
@@ -220,6 +222,7 @@ def test_a_number_of_nodes_that_is_known_late_gives_the_same(mapping: Any, loop:
     assert len(sizes) >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mapping", "loop"), [("native", "scan"), ("vmap", "while")])
 def test_the_other_pairs_of_loop_and_mapping_give_the_same(mapping: Any, loop: str):
     num_actions, options = SETTINGS["nine actions"]

@@ -43,6 +43,7 @@ def test_stores_and_workers_have_chunks_within_a_combination(monkeypatch: pytest
         assert found.seconds == pytest.approx(1 + 2 * found.seconds_per_chunk)
 
 
+@pytest.mark.slow
 def test_a_chunk_under_vmap_takes_as_long_as_its_longest_run(monkeypatch: pytest.MonkeyPatch):
     ticking(monkeypatch)
     found = estimate(MAZE, LEARNER, seeds=3, num_episodes=150, mapping="vmap", keep_learned=True)
@@ -52,6 +53,7 @@ def test_a_chunk_under_vmap_takes_as_long_as_its_longest_run(monkeypatch: pytest
     assert found.result_bytes == 3 * (8 * (3 * 150 + 1) + tables)
 
 
+@pytest.mark.slow
 def test_evaluations_are_measured_apart(monkeypatch: pytest.MonkeyPatch):
     seconds = iter([0, 1, 0, 2, 0, 2, 0, 2, 0, 1, 0, 5, 0, 5, 0, 5])
     monkeypatch.setattr("hrljax.sweeps.estimate.time.perf_counter", lambda: float(next(seconds)))

@@ -23,8 +23,8 @@ in_every_loop = pytest.mark.parametrize(
     ("name", "mapping"),
     [
         ("flat", "native"),
-        ("flat", "vmap"),
-        ("hierarchy", "native"),
+        pytest.param("flat", "vmap", marks=pytest.mark.slow),
+        pytest.param("hierarchy", "native", marks=pytest.mark.slow),
         pytest.param("hierarchy", "vmap", marks=pytest.mark.slow),
     ],
 )

@@ -64,6 +64,7 @@ def where_am_i() -> tuple[int, int]:
     return os.getpid(), len(os.sched_getaffinity(0))
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_numbers_and_store(pool: ProcessPoolExecutor, expected: xr.Dataset, tmp_path: Path):
     found = swept(executor=pool, store=tmp_path / "x.zarr")
     xr.testing.assert_equal(found, expected)
@@ -71,6 +72,7 @@ def test_processes_give_the_same_numbers_and_store(pool: ProcessPoolExecutor, ex
     assert "compile_seconds" not in found.attrs
 
 
+@pytest.mark.slow
 def test_every_process_has_one_core(pool: ProcessPoolExecutor):
     places = {pool.submit(where_am_i).result() for _ in range(8)}
     assert {cores for _, cores in places} == {1}
@@ -104,6 +106,7 @@ def test_a_job_is_made_and_compiled_once_in_a_process(monkeypatch: pytest.Monkey
         np.testing.assert_array_equal(first[name], second[name])
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_loses_nothing_but_its_chunk(
     pool: ProcessPoolExecutor, expected: xr.Dataset, tmp_path: Path
 ):
@@ -129,6 +132,7 @@ def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_dask_workers_give_the_same_numbers_though_one_is_killed(expected: xr.Dataset):
     distributed = pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
     with (

@@ -84,6 +84,7 @@ def test_a_sweep_that_is_killed_again_and_again_ends_as_one_that_is_not(whole: P
     assert contents(path) == contents(whole)
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_killed_from_outside_ends_as_one_that_is_not(whole: Path, tmp_path: Path):
     """When depends on the machine; what remains must not."""
     path = tmp_path / "x.zarr"

@@ -105,6 +105,7 @@ def consistent(store: Path, expected: xr.Dataset) -> None:
     assert opened.attrs["complete"] <= int(opened.notnull().all().to_array().all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("version", "instants"),
     [("first", [3, 6, 12, 30, 34, 50]), ("newest", [2, 3, 5, 6, 9, 14, 27, 28, 30, 33, 36, 45, 60, 75, 91])],

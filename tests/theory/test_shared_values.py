@@ -152,6 +152,7 @@ def test_a_subtask_is_worth_what_its_own_choice_is():
     assert composites > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quality", [-1.0, 1.0])
 def test_it_converges_to_the_optimal_values_under_an_adversary_and_a_planner(quality: float):
     problem = random_problem(np.random.default_rng(8), 2, num_states=6, num_actions=3, discount=0.7, ending=0.1)
@@ -176,6 +177,11 @@ def test_without_a_total_leaf_cover_it_is_refused():
     taxi = hrl.make("Taxi")
     with pytest.raises(ValueError, match=r"'Get' lacks 'putdown'.*hrljax.total_leaf_cover"):
         hrl.SharedHORDQ(taxi.hierarchy())
+
+
+@pytest.mark.slow
+def test_what_makes_a_cover_total_gives_a_hierarchy_that_runs():
+    taxi = hrl.make("Taxi")
     complete = hrl.total_leaf_cover(taxi.hierarchy(), active=hrl.tabulate(taxi.hierarchy(), taxi).active).hierarchy
     run = hrl.train(taxi, hrl.SharedHORDQ(complete), KEY, 1, params=taxi.default_params._replace(max_steps=5))
     assert int(run.steps) == 5

@@ -106,6 +106,7 @@ def test_a_tree_without_rows_is_a_leaf_without_counts():
     assert not spec.shares(forest, ZERO).any()
 
 
+@pytest.mark.slow
 def test_trees_of_vmap_are_the_same():
     spec = ClassificationTrees((4, 5, 3), (True, True, False), (3, 2))
     many = [data_of(spec, *some_data(seed, spec, 30), list(range(30))) for seed in range(3)]

@@ -182,6 +182,7 @@ def test_only_the_first_rows_count():
     np.testing.assert_allclose(predictions(some, inputs)[:200], expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_predictions_side_by_side_are_those_of_each_tree_alone():
     """Trees of other depths, a single leaf among them, and rows of other widths."""
     inputs, targets = mixed(7, 300)
@@ -238,6 +239,7 @@ def test_mappings_agree_bit_for_bit():
         jax.tree.map(np.testing.assert_array_equal, expected, together)
 
 
+@pytest.mark.slow
 def test_groups_are_trees_of_their_own():
     inputs, targets, group = grouped(7)
     # A bin of its own for every value, so that the bins of all rows are those of the group.

@@ -98,6 +98,7 @@ def play_to_the_end(state: Episode, **changes: float):
     raise AssertionError("the episode does not end")
 
 
+@pytest.mark.slow
 def test_nothing_changes_after_death():
     before, state, reward, info = play_to_the_end(first(), death_reward=-50.0)
     moved = float(state.world.player.x - before.world.player.x)
@@ -110,6 +111,7 @@ def test_nothing_changes_after_death():
     jax.tree.map(np.testing.assert_array_equal, again, state)
 
 
+@pytest.mark.slow
 def test_the_limit_of_steps_kills():
     state, reward, terminated, _ = step(first(), max_steps=2)
     assert (reward, terminated) == (np.float32(-0.01), False)
@@ -124,12 +126,14 @@ def near_exit(x: float) -> Episode:
     return state._replace(world=state.world._replace(player=player))
 
 
+@pytest.mark.slow
 def test_reaching_the_exit_wins():
     state, reward, terminated, info = step(near_exit(16 * 318 - 1))
     assert (reward, terminated, info["win"], info["death"]) == (100, True, True, False)
     assert int(state.world.player.win_time) > 0
 
 
+@pytest.mark.slow
 def test_an_end_in_the_last_tick_of_a_step_is_told_by_the_next():
     for distance in np.arange(0.5, 40, 0.5):
         state, reward, terminated, info = step(near_exit(16 * 318 - distance), step_reward=-1.0)
@@ -184,6 +188,7 @@ def test_bad_options(options: dict, text: str):
         Mario(**options)
 
 
+@pytest.mark.slow
 def test_bad_actions():
     state = first()
     for action, error, text in [

@@ -94,6 +94,7 @@ def test_sprites_are_painted_over_tiles_and_newer_ones_over_older():
     assert sum(name in KIND_NAMES for row in cells for name in row) == 2
 
 
+@pytest.mark.slow
 def test_a_window_can_lie_anywhere():
     world = game(88.0, 207.0, ((3, 300.0, 207.0),))
     cells = features.window(COURSE, world, 3, jnp.int32(18), jnp.int32(12))

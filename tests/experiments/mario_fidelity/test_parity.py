@@ -72,6 +72,7 @@ def short_episode():
     return *parity.courses([episode.id for episode in episodes])[episode.id], episode
 
 
+@pytest.mark.slow
 def test_one_changed_bit_is_found(short_game):
     course, index, game = short_game
     floats = game.mario_floats.copy()
@@ -81,6 +82,7 @@ def test_one_changed_bit_is_found(short_game):
     assert "after tick 7 Mario's y is" in verdict.first_difference
 
 
+@pytest.mark.slow
 def test_a_changed_tile_and_a_lost_sprite_are_found(short_game):
     course, index, game = short_game
     tile = game._replace(tile_events=np.array([[3, 5, 6, 4]], np.int32))
@@ -142,6 +144,7 @@ def script(*arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, path, *arguments], capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_script_without_files_and_with_a_damaged_level(tmp_path: Path):
     nothing = script()
     assert nothing.returncode == 1

@@ -43,7 +43,13 @@ class PythonHDyna(PythonOptions):
                 self.q[pair] += F(self.learner.step_size) * (reward + discount * follows - self.q[pair])
 
 
-@pytest.mark.parametrize(("update", "models"), [("smdp", "all"), ("smdp", "abstract"), ("intra_option", "all")])
+@pytest.mark.parametrize(
+    ("update", "models"),
+    [
+        ("smdp", "all"),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("smdp", "abstract"), ("intra_option", "all"))),
+    ],
+)
 def test_a_run_gives_the_numbers_of_plain_python(update: Any, models: Any):
     options = random_options(True)
     learner = HDyna(options, update=update, **NUMBERS, planning_steps=3, models=models)
@@ -63,6 +69,7 @@ def test_a_run_gives_the_numbers_of_plain_python(update: Any, models: Any):
         np.testing.assert_array_equal(np.asarray(table)[pairs], column)
 
 
+@pytest.mark.slow
 def test_without_planning_it_is_q_learning_over_options():
     def learned(learner: Any) -> Any:
         return jax.jit(lambda key: hrljax.train(GRID, learner, key, 50, params=PARAMS))(KEY)
@@ -73,6 +80,7 @@ def test_without_planning_it_is_q_learning_over_options():
     np.testing.assert_array_equal(one.metrics["return"], other.metrics["return"])
 
 
+@pytest.mark.slow
 def test_with_primitive_options_alone_it_is_dyna_q():
     """On the same random words: both draw from all pairs that were ever visited, and remember what happened last."""
 
@@ -95,6 +103,7 @@ def test_a_seed_has_one_result_under_every_mapping():
         np.testing.assert_array_equal(native[variable], vmap[variable], err_msg=str(variable))
 
 
+@pytest.mark.slow
 def test_models_of_options_spare_steps():
     """In four rooms with the ways to the hallways: fewer steps than without models over 50 episodes."""
     ways = hrljax.options_from(ROOMS.hierarchy(), ROOMS)

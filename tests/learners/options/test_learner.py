@@ -110,7 +110,10 @@ class PythonOptions:
         return float(sum(first[s] * value[called[s], s] for s in range(24)))
 
 
-@pytest.mark.parametrize(("update", "primitives"), [("smdp", True), ("smdp", False), ("intra_option", True)])
+@pytest.mark.parametrize(
+    ("update", "primitives"),
+    [("smdp", True), pytest.param("smdp", False, marks=pytest.mark.slow), ("intra_option", True)],
+)
 def test_a_run_gives_the_numbers_of_plain_python(update: Any, primitives: bool):
     options = random_options(primitives)
     learner = OptionQ(options, update=update, step_size=0.3, epsilon=0.3, discount=0.93, initial_value=-8.0)
@@ -132,7 +135,7 @@ def test_a_run_gives_the_numbers_of_plain_python(update: Any, primitives: bool):
     assert float(value) == pytest.approx(python.greedy_return(env), abs=1e-4)
 
 
-@pytest.mark.parametrize("update", ["smdp", "intra_option"])
+@pytest.mark.parametrize("update", ["smdp", pytest.param("intra_option", marks=pytest.mark.slow)])
 def test_primitive_options_alone_are_q_learning(update: Any):
     numbers = {"step_size": 0.3, "epsilon": 0.3, "discount": 0.9, "initial_value": -4.0}
 

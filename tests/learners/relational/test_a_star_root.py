@@ -53,6 +53,7 @@ def landed(number: int, steps: int) -> Any:
     return episode
 
 
+@pytest.mark.slow
 def test_a_step_costs_one_and_what_it_loses_beside_the_distance():
     """On flat ground the thesis's rewards lose a hundredth a step, whatever the action."""
     result = search((), landed(FLAT, 3))
@@ -66,6 +67,7 @@ def test_a_step_costs_one_and_what_it_loses_beside_the_distance():
     assert set(run) <= {RUN, RUN_AND_JUMP}  # he runs as fast in the air
 
 
+@pytest.mark.slow
 def test_no_way_leads_into_a_pit():
     episode = landed(PIT, 3)
     result = search((), episode)
@@ -78,6 +80,7 @@ def test_no_way_leads_into_a_pit():
     assert float(episode.world.player.x) > 17 * 16
 
 
+@pytest.mark.slow
 def test_a_death_is_no_way_even_where_there_is_no_other():
     result = search((), landed(ABYSS, 4))
     count = int(result.num_expanded)
@@ -85,6 +88,7 @@ def test_a_death_is_no_way_even_where_there_is_no_other():
     assert not np.asarray(result.nodes.state.player.death_time)[:count].any()
 
 
+@pytest.mark.slow
 def test_what_is_learned_of_an_encounter_bends_the_way():
     """The model of Mario alone runs into the goomba; once it was learned that this is fatal, no plan does."""
     start = landed(FLAT, 2)
@@ -102,6 +106,7 @@ def test_what_is_learned_of_an_encounter_bends_the_way():
     assert [*around.actions] != [*through.actions]
 
 
+@pytest.mark.slow
 def test_it_is_a_root():
     learner = hrl.RelationalHORDQ(LEARNS, pseudo_reward=1e6)
     assert learner.planning_interval == 1

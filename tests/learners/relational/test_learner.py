@@ -98,6 +98,7 @@ def test_weights_are_those_of_plain_python(walk: Walk, options: dict[str, Any]):
     assert any(python.concepts(step.state) for step in walk.steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bias", ["own", "shared"])
 def test_where_no_concept_holds_only_biases_of_their_own_tell_actions_apart(walk: Walk, bias: Any):
     """Each of many deaths makes what was done look worse; without a concept that must not hide the root's advice."""
@@ -132,6 +133,7 @@ def test_a_step_that_does_not_count_changes_no_table(walk: Walk):
         chex.assert_trees_all_equal(learn(state, step, jnp.bool_(False)).tables, state.tables)
 
 
+@pytest.mark.slow
 def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Walk):
     alone, without = replayed(RelationalHORDQ(epsilon=0.3), walk)
     under_root, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.3, pseudo_reward=0.0), walk)
@@ -139,11 +141,13 @@ def test_without_a_pseudo_reward_the_root_changes_nothing(walk: Walk):
     assert [int(c.action) for c in without] == [int(c.action) for c in controls]
 
 
+@pytest.mark.slow
 def test_a_huge_pseudo_reward_follows_the_root(walk: Walk):
     _, controls = replayed(RelationalHORDQ(ROOT, epsilon=0.0, pseudo_reward=1e6), walk)
     assert all(int(control.action) == int(control.decision.task) for control in controls)
 
 
+@pytest.mark.slow
 def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Walk):
     """Choices of a plain program that is told what the root suggests."""
     fading = hrl.Fading(worth=1.0, after=5.0)
@@ -172,6 +176,7 @@ def test_a_fading_pseudo_reward_goes_by_the_least_known_concept(walk: Walk):
     assert 0 < sum(obeyed) < len(obeyed)
 
 
+@pytest.mark.slow
 def test_under_vmap_the_search_is_a_scan_and_finds_the_same(walk: Walk, monkeypatch: pytest.MonkeyPatch):
     loops, search = [], search_root.best_first_search
 
@@ -242,6 +247,7 @@ def test_pessimism_takes_off_what_was_not_met(walk: Walk):
     assert plain.init(ENV).met == ()
 
 
+@pytest.mark.slow
 def test_inputs_tell_the_place_in_the_tile_and_what_lies_below_the_level(walk: Walk):
     model = hrl.MarioModel(offsets=True, below=True)
     world = walk.first.world

@@ -59,6 +59,7 @@ def played(actions: list[int]) -> list[Transition]:
     return transitions
 
 
+@pytest.mark.slow
 def test_what_was_met_comes_again():
     games = [played([RUN]), played([RUN, RUN_AND_JUMP, RUN])]
     tables = MODEL.init(ENV)
@@ -96,6 +97,7 @@ def test_what_was_met_comes_again():
     assert float(reward) == float(of_given)
 
 
+@pytest.mark.slow
 def test_a_full_memory_keeps_what_it_has():
     game = played([RUN])
     tables, small = MODEL.init(ENV), MODEL.init(ENV)._replace(filled=jnp.int32(MODEL.rows - 2))

@@ -124,6 +124,7 @@ def confused() -> tuple[list[Transition], Any]:
     return steps, refitting(model)(tables)
 
 
+@pytest.mark.slow
 def test_a_memory_tells_what_the_last_of_equal_steps_brought(confused: tuple[list[Transition], Any]):
     """27 inputs are the same; trees give the mean, the memory what came last after the same action."""
     steps, tables = confused
@@ -139,6 +140,7 @@ def test_a_memory_tells_what_the_last_of_equal_steps_brought(confused: tuple[lis
     np.testing.assert_allclose(ahead(never, jnp.int32(5))[1], 2.0 - 5.0, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_trees_without_weights_are_left_alone_until_something_new_was_met(confused: tuple[list[Transition], Any]):
     steps, tables = confused
     model = dataclasses.replace(MODEL, memory=True, weighted=False)
@@ -152,6 +154,7 @@ def test_trees_without_weights_are_left_alone_until_something_new_was_met(confus
     assert not other.replay.has_news
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_cut_off_above_a_pit_knows_what_came_after(walk: list[Transition]):
     """The steps before the walk's end carry it, less and less; those long before do not."""
     model = dataclasses.replace(MODEL, memory=True, weighted=False, death_decay=0.5)
