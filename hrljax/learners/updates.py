@@ -51,12 +51,16 @@ def moved(table: Array, moves: Sequence[Move], step_size: Array, context: Contex
         context: where it does not learn, nothing moves.
     """
 
-    def towards(start: Array, target: Array, learns: Array) -> Array:
-        return increment(take_row(table, start, len(target)), target, step_size, learns, context.zero)
+    def after(table: Array, moves: list[Move]) -> list[Array]:
+        return [
+            increment(take_row(table, start, len(target)), target, step_size, learns, context.zero)
+            for start, target, learns in moves
+        ]
 
-    # With one row there is nothing to keep apart.
-    apart = stage(towards) if len(moves) > 1 else towards
-    rows = [apart(start, target, jnp.asarray(both(learns, context.learns))) for start, target, learns in moves]
+    # All rows by one stage, for the compiler to see that each is read before any is written. With one row there is
+    # nothing to keep apart.
+    live = [move._replace(learns=jnp.asarray(both(move.learns, context.learns))) for move in moves]
+    rows = (stage(after) if len(moves) > 1 else after)(table, live)
     return put_rows(table, [move.start for move in moves][::-1], rows[::-1])
 
 

@@ -1,7 +1,9 @@
 """Update rules against tables computed by hand, and choices among a few values."""
 
+import re
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import lax
 
 from hrljax.core.choices import epsilon_greedy, greedy, greedy_of, pick
 from hrljax.core.random import WORD_RANGE
+from hrljax.engine import compiler
 from hrljax.learners.hordq import Q, hordq_target
-from hrljax.learners.updates import increment, td_target, traced_increment
+from hrljax.learners.updates import Move, increment, moved, td_target, traced_increment
 from tests.contexts import learning
 
 ZERO = np.uint32(0)
@@ -68,6 +72,25 @@ def test_increment_of_a_row_takes_scalars_or_rows():
     np.testing.assert_array_equal(increment(old, target, jnp.float32(0.5), live, ZERO), [4, 1, 5, 3])
     step_sizes = jnp.array([0.0, 0.25, 0.5, 1.0])
     np.testing.assert_array_equal(increment(old, target, step_sizes, jnp.bool_(True), ZERO), [0, 2.75, 5, 8])
+
+
+@pytest.mark.parametrize("options", [compiler.OPTIONS, compiler.NESTED_OPTIONS], ids=["flat", "nested"])
+def test_rows_are_moved_in_place(options: dict[str, Any]):
+    """Both are read before either is written; of one place the first target counts, and no turn copies the table."""
+
+    def steps(table: jax.Array, alike: jax.Array) -> jax.Array:
+        def step(i: jax.Array, table: jax.Array) -> jax.Array:
+            first, second = i, lax.select(alike, i, 49 - i)
+            moves = [Move(first, jnp.full(1, 8.0), True), Move(second, jnp.full(1, -8.0), i < 10)]
+            return moved(table, moves, jnp.float32(0.5), learning())
+
+        return lax.fori_loop(jnp.int32(0), jnp.int32(20), step, table)
+
+    table = jnp.ones(50)
+    compiled = jax.jit(steps, donate_argnums=0, compiler_options=options).lower(table, jnp.bool_(False)).compile()
+    assert not re.findall(r"f32\[50\]\S* copy\(", compiled.as_text() or "")
+    assert compiled(table, jnp.bool_(False)).tolist() == [4.5] * 20 + [1.0] * 20 + [-3.5] * 10
+    assert compiled(jnp.ones(50), jnp.bool_(True)).tolist() == [4.5] * 20 + [1.0] * 30
 
 
 @pytest.mark.parametrize(("discount", "target"), [(1, -21), (0.5, -11), (0, -1)])
