@@ -100,14 +100,29 @@ def r_max() -> Figure:
 
 
 def rl_dt() -> Figure:
-    """The effects of actions said in two ways, beside learners that do not generalise."""
-    learners = {
-        "RL-DT, relative effects": hrl.RLDT(optimistic_value=20.0),
-        "RL-DT, absolute effects": hrl.RLDT(optimistic_value=20.0, effects="absolute"),
-        "R-MAX": hrl.RMax(optimistic_value=20.0, known_after=1),
-        "Dyna-Q": hrl.DynaQ(step_size=0.5, planning_steps=50),
+    """The effects of actions said in two ways, and a forest, beside learners that do not generalise."""
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+
+    def learners(known_after: int, **options: Any) -> dict[str, Any]:
+        options |= {"optimistic_value": 20.0}
+        return {
+            "RL-DT, relative effects": hrl.RLDT(**options),
+            "RL-DT, absolute effects": hrl.RLDT(effects="absolute", **options),
+            "R-MAX": hrl.RMax(optimistic_value=20.0, known_after=known_after),
+        }
+
+    dyna = hrl.DynaQ(step_size=0.5, planning_steps=50)
+    draw_curves(
+        left, hrl.make("Taxi"), learners(1) | {"Dyna-Q": dyna}, 120, window=5, lowest=-400, title="Taxi", seeds=20
+    )
+    of_chance = learners(5, refit_interval=10) | {
+        "Dyna-Q": hrl.DynaQ(step_size=0.2, planning_steps=50, outcomes_kept=8),
+        "RL-DT, a forest of five": hrl.RLDT(optimistic_value=20.0, refit_interval=10, num_trees=5),
     }
-    return curves(hrl.make("Taxi"), learners, 120, window=5, lowest=-400, title="Taxi", seeds=20)
+    stochastic = hrl.make("Taxi", stochastic=True)
+    draw_curves(right, stochastic, of_chance, 200, window=10, lowest=-400, title="Stochastic Taxi", seeds=8)
+    return figure
 
 
 def sdyna() -> Figure:
