@@ -30,7 +30,7 @@ def test_what_is_played_was_not_trained_on():
 
 
 @pytest.mark.slow
-def test_games_are_those_that_the_learned_policy_plays_step_by_step():
+def test_games_are_those_that_the_learned_policy_plays_step_by_step(quick_compiler: None):
     root = hrl.SearchRoot(model=hrl.MarioDynamics(), priority="last_reward", answer="leaf", max_nodes=60)
     learner = hrl.RelationalHORDQ(root, pseudo_reward=10.0)
     env = LEVELS.environment
@@ -75,7 +75,7 @@ def test_rows_are_means_over_levels_and_intervals_over_seeds():
 
 
 @pytest.mark.slow
-def test_the_model_alone_is_not_trained(monkeypatch):
+def test_the_model_alone_is_not_trained(monkeypatch, quick_compiler: None):
     monkeypatch.setattr(generalisation, "trained_tables", lambda *args, **kwargs: pytest.fail("trained"))
     played = generalisation.LevelSet((0,), (0,), each=1, first_seed=5)
     ((row,),) = generalisation.rows([], played, mario_hybrid.BEST_VALUES, seeds=3, num_episodes=1, cores=1)

@@ -107,7 +107,7 @@ def test_what_is_learned_of_an_encounter_bends_the_way():
 
 
 @pytest.mark.slow
-def test_it_is_a_root():
+def test_it_is_a_root(quick_compiler: None):
     learner = hrl.RelationalHORDQ(LEARNS, pseudo_reward=1e6)
     assert learner.planning_interval == 1
     curves = hrl.sweep(ENV, learner, seeds=1, num_episodes=1, num_steps=1, axes={"root.weight": [1.0, 2.0]})

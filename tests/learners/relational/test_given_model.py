@@ -84,7 +84,7 @@ def test_the_end_pays_what_the_preset_says():
 
 
 @pytest.mark.slow
-def test_a_root_with_it_clears_the_level():
+def test_a_root_with_it_clears_the_level(quick_compiler: None):
     learner = hrl.RelationalHORDQ(
         hrl.SearchRoot(model=MarioDynamics(), priority="last_reward", answer="leaf"), pseudo_reward=1e6, epsilon=0.0
     )
