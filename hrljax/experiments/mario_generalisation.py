@@ -22,7 +22,7 @@ from hrljax.envs.mario.levels.ascii import to_ascii
 from hrljax.envs.mario.levels.generator import generate_level
 from hrljax.experiments import mario_hybrid
 from hrljax.experiments.rows import Row, interval_row
-from hrljax.learners.base import AnyLearner, Context
+from hrljax.learners.base import AnyLearner, Context, LearnerState, Transition
 from hrljax.learners.relational.a_star_root import AStarRoot
 from hrljax.learners.relational.encounter_model import MarioEncounters
 from hrljax.learners.relational.learner import RelationalHORDQ, Tables
@@ -85,7 +85,8 @@ class LevelPlayer:
 
     Args:
         env: the levels.
-        learner: what decides, at every step as at the first of an episode; without schedules.
+        learner: what decides, at every step as at the first of an episode; without schedules. One without tables, which
+            cannot learn, goes on as in training.
         cores: cores to use; all if None.
     """
 
@@ -122,18 +123,27 @@ class LevelPlayer:
         env, learner = self.env, self.learner
         zero = opaque_zero(level.astype(jnp.uint32))
         context = Context(jnp.int32(0), jnp.bool_(True), zero)
-        words = (jnp.uint32(0),) * learner.num_begin_words
+        words = (jnp.uint32(0),) * max(learner.num_begin_words, learner.num_words)
+        may_learn = bool(jax.tree.leaves(tables))
 
-        def step(carry: tuple[Episode, Array, Events]) -> tuple[Episode, Array, Events]:
-            state, _, sums = carry
-            action = learner.action(learner.begin(self._prepared, tables, state, words, context))
-            state, reward, terminated, info = env.transition(state, action, (), env.default_params)
+        def step(carry: tuple[Episode, Any, Array, Events]) -> tuple[Episode, Any, Array, Events]:
+            before, kept, _, sums = carry
+            control = learner.begin(self._prepared, tables, before, words, context) if may_learn else kept
+            action = learner.action(control)
+            state, reward, terminated, info = env.transition(before, action, (), env.default_params)
+            if not may_learn:
+                told = Transition(before, action, reward, state, terminated)
+                after = learner.learn(self._prepared, LearnerState(tables, control), told, words, context)
+                assert isinstance(after, LearnerState)
+                kept = after.control
             new = {"win": info["win"], "distance": info["distance"], "length": jnp.float32(1), "return": reward}
-            return state, terminated, {name: sums[name] + jnp.float32(value) for name, value in new.items()}
+            return state, kept, terminated, {name: sums[name] + jnp.float32(value) for name, value in new.items()}
 
         sums: dict[str, Array] = {name: jnp.float32(0) for name in _COUNTED}
-        start = (begin(env.course, level, env.quantum), jnp.bool_(False), sums)
-        return lax.while_loop(lambda carry: ~carry[1], step, start)[2]
+        first = begin(env.course, level, env.quantum)
+        kept = () if may_learn else learner.begin(self._prepared, tables, first, words, context)
+        start = (first, kept, jnp.bool_(False), sums)
+        return lax.while_loop(lambda carry: ~carry[2], step, start)[3]
 
 
 def trained_tables(
