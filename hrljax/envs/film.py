@@ -32,8 +32,10 @@ def save_gif(frames: Iterable[np.ndarray], path: str | PathLike[str], fps: float
     for i, frame in enumerate(frames):
         shape = shots[0].shape if shots else frame.shape
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[-1] != 3 or frame.shape != shape:
-            raise ValueError(f"frame {i} must be a uint8 array of shape [H, W, 3] like the others, "
-                             f"got {frame.dtype} of shape {list(frame.shape)}")  # fmt: skip
+            raise ValueError(
+                f"frame {i} must be a uint8 array of shape [H, W, 3] like the others, "
+                f"got {frame.dtype} of shape {list(frame.shape)}"
+            )
         shots.append(frame)
     if not shots:
         raise ValueError("frames must be at least one, got none")

@@ -126,9 +126,19 @@ def draw_actions(
     down, right = 0.56 * steps[is_step].T
     row, column = np.divmod(np.flatnonzero(is_step), ground.width)
     ax.quiver(
-        *(column, row, right, down), pivot="mid", angles="xy", units="xy", scale_units="xy", scale=1, color=INK,
-        width=0.065, headwidth=3.6, headlength=3.4, headaxislength=3.1, zorder=4,
-    )  # fmt: skip
+        *(column, row, right, down),
+        pivot="mid",
+        angles="xy",
+        units="xy",
+        scale_units="xy",
+        scale=1,
+        color=INK,
+        width=0.065,
+        headwidth=3.6,
+        headlength=3.4,
+        headaxislength=3.1,
+        zorder=4,
+    )
     for cell in np.flatnonzero(shown & ~is_step).tolist():
         write(ax, *ground.centre(cell), str(signs[actions[cell]]), 0.24, weight="bold")
 

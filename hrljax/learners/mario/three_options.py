@@ -187,9 +187,15 @@ class ThreeOptions(Learner[Prepared, Tables, Running]):
         return LearnerState(tables, kept)
 
     def _continued(
-        self, option: int, prepared: Prepared, values: Values, running: Running, transition: Transition, word: Array,
+        self,
+        option: int,
+        prepared: Prepared,
+        values: Values,
+        running: Running,
+        transition: Transition,
+        word: Array,
         context: Context,
-    ) -> LearnerState:  # fmt: skip
+    ) -> LearnerState:
         """An option that learns after a step, which counts if it ran."""
         learner, control = ((self.sarsa, running.sarsa), (self.specialist, running.specialist))[option]
         of_it = context._replace(learns=jnp.asarray(context.learns) & (running.option == option))

@@ -193,9 +193,7 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
     tick, facing, ya = when(across.blocked & shell, bump_wall, (tick, facing, before.ya))
     x = lax.select(across.blocked, wall_position(across.position, across.piece, shape.half_width), across.position)
     xa = lax.select(across.blocked, no_speed, xa)
-    sprite = before._replace(
-        x=x, xa=xa, ya=ya, facing=lax.select(across.blocked & ~fireball, -facing, facing)
-    )  # fmt: skip
+    sprite = before._replace(x=x, xa=xa, ya=ya, facing=lax.select(across.blocked & ~fireball, -facing, facing))
     sprite = choose(across.blocked & fireball, break_apart(sprite), sprite)
 
     world = tick.world
@@ -247,9 +245,16 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
     flags = with_flag(flags, STRIKING, striking)
     flags = flags | lax.select(over, jnp.int32(REMOVED), jnp.int32(0))
     sprite = sprite._replace(
-        x=x, y=y, xa=xa, ya=ya, x_old=before.x, y_old=before.y, flags=flags, dead_time=dead_time,
+        x=x,
+        y=y,
+        xa=xa,
+        ya=ya,
+        x_old=before.x,
+        y_old=before.y,
+        flags=flags,
+        dead_time=dead_time,
         aux=lax.select(rising, before.aux + 1, rested),
-    )  # fmt: skip
+    )
     return Tick(
         world=world._replace(sprites=write(world.sprites, place, sprite)),
         num_new=tick.num_new,
@@ -275,6 +280,4 @@ def sprite_shape(kind: Array) -> Shape:
 def fireball_of(player: Player) -> Sprites:
     """The fireball that Mario shoots, before its first update."""
     ahead = (6 * player.facing).astype(jnp.float32)
-    return new_sprite(
-        FIREBALL, player.x + ahead, player.y - np.float32(20), ya=jnp.float32(4), facing=player.facing
-    )  # fmt: skip
+    return new_sprite(FIREBALL, player.x + ahead, player.y - np.float32(20), ya=jnp.float32(4), facing=player.facing)
