@@ -21,7 +21,8 @@ from jax import Array, lax
 from hrljax.core import checks
 from hrljax.core.numerics import exact_product, opaque_zero, put_row, take, take_row
 from hrljax.trees.growth import LEAF, LEFT_SHIFT
-from hrljax.trees.multiway_growth import NUMBER, Level, Limits, Nodes, Sample, branch, grow, total
+from hrljax.trees.multiway_growth import Level, Nodes, branch, grow
+from hrljax.trees.multiway_splits import NUMBER, Limits, Sample, total
 from hrljax.trees.rows import MAX_ROWS, check_categories, check_rows
 
 MOST_CATEGORIES = 32
