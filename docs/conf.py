@@ -38,7 +38,7 @@ myst_heading_anchors = 4
 
 autosummary_imported_members = True
 autosummary_ignore_module_all = False
-autosummary_context = {"top_level": hrljax.__all__}
+autosummary_context = {"offered": {module: public_names.of_module(module) for module in public_names.MODULES}}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"

@@ -16,12 +16,20 @@ MODULES = (
 """Modules whose ``__all__`` is public."""
 
 
+def of_module(name: str) -> list[str]:
+    """What a module offers, but for what the package itself offers too: that has its place there only."""
+    package, module = import_module("hrljax"), import_module(name)
+    return [
+        offered
+        for offered in module.__all__
+        if module is package or getattr(module, offered) is not getattr(package, offered, None)
+    ]
+
+
 def all_names() -> set[str]:
-    """Whole names of the public classes and functions; what the package itself offers too has that name only."""
-    top_level = import_module("hrljax").__all__
+    """Whole names of the public classes and functions."""
     names = set()
-    for module in map(import_module, MODULES):
-        offered = [name for name in module.__all__ if module.__name__ == "hrljax" or name not in top_level]
-        things = ((name, getattr(module, name)) for name in offered)
-        names |= {f"{module.__name__}.{name}" for name, thing in things if isclass(thing) or isroutine(thing)}
+    for module in MODULES:
+        things = ((name, getattr(import_module(module), name)) for name in of_module(module))
+        names |= {f"{module}.{name}" for name, thing in things if isclass(thing) or isroutine(thing)}
     return names

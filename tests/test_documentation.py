@@ -109,7 +109,10 @@ def test_every_public_module_is_in_the_api():
     assert offer == set(public_names.MODULES)
     listed = re.findall(r"^   (hrljax[\w.]*)$", (ROOT / "docs" / "api.rst").read_text(), re.M)
     assert sorted(listed) == sorted(offer)
-    assert {"hrljax.QLearning", "hrljax.sweep", "hrljax.stats.mean", "hrljax.envs.below"} <= public_names.all_names()
+    names = public_names.all_names()
+    assert {"hrljax.QLearning", "hrljax.sweep", "hrljax.stats.mean", "hrljax.envs.below"} <= names
+    assert {"hrljax.make", "hrljax.interop.gymnax.make"} <= names, "two functions of one name"
+    assert "hrljax.envs.Environment" not in names, "one class that two modules offer"
 
 
 def test_the_readme_is_short():

@@ -76,9 +76,10 @@ def check_options(env: object, options: Mapping[str, tuple[object, ...]]) -> Non
 
 def check_render_mode(env: "AnyEnvironment", mode: object) -> None:
     """Raises ValueError unless `env` can draw in `mode`."""
+    if not env.render_modes:
+        raise ValueError(f"{env.name} has no pictures, for it has no renderer; got the render mode {mode!r}")
     if mode not in env.render_modes:
-        allowed = ", ".join(map(repr, env.render_modes)) or f"nothing, for {env.name} has no pictures"
-        raise ValueError(f"render mode must be one of {allowed}; got {mode!r}")
+        raise ValueError(f"render mode must be one of {', '.join(map(repr, env.render_modes))}; got {mode!r}")
 
 
 class Renderer(Protocol):

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
+from hrljax.stats.arguments import check_named
 
 
 def intervals(
@@ -34,7 +35,7 @@ def intervals(
         TypeError: an argument is of the wrong kind.
         ValueError: no values, no statistics, other dimensions, or no finished run.
     """
-    checks.instance("values", values, Mapping, "a mapping from names to DataArrays")
+    check_named("values", values, "a mapping from names to DataArrays")
     statistics = checks.names("statistics", statistics)  # type: ignore[assignment]
     if not values:
         raise ValueError("values must hold at least one array, got none")

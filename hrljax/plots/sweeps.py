@@ -16,12 +16,13 @@ from hrljax import stats
 from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
+from hrljax.stats.arguments import check_named
 from hrljax.stats.settings import along_points
 
 _WINNER = "#D55E00"
 """The colour of what is around the best."""
 _MOST_TICKS = 12
-"""Swept values up to which each gets a tick."""
+"""Values of an axis up to which each gets a tick; points are where they are, and their labels would overlap."""
 
 
 def heat_map(
@@ -160,7 +161,7 @@ def sensitivity(
         ValueError: no values, other dimensions, or no finished run.
     """
     named = {"": values} if isinstance(values, xr.DataArray) else values
-    checks.instance("values", named, Mapping, "a DataArray, or a mapping from names to DataArrays")
+    check_named("values", named, "a DataArray, or a mapping from names to DataArrays")
     checks.choice("statistic", statistic, Statistic)
     if not named:
         raise ValueError("values must hold at least one array, got none")
@@ -189,7 +190,7 @@ def sensitivity(
     places = np.unique(np.concatenate([array[x].values for array in named.values()]))
     if _is_wide(places):
         ax.set_xscale("log")
-    if len(places) <= _MOST_TICKS:
+    if len(places) <= _MOST_TICKS and all(x in array.dims for array in named.values()):
         ax.set_xticks(places, [f"{place:g}" for place in places])
         ax.minorticks_off()
     style.references(ax, references)

@@ -1,5 +1,7 @@
 """Checks of arguments that the statistics share."""
 
+from collections.abc import Mapping
+
 import xarray as xr
 
 from hrljax.core import checks
@@ -13,6 +15,15 @@ def check_values(name: str, values: object, *dims: str) -> None:
         if dim not in array.dims:
             present = ", ".join(map(str, array.dims)) or "none"
             raise ValueError(f"{name} must have a dimension {dim!r}, got {present}")
+
+
+def check_named(name: str, values: object, what: str) -> None:
+    """Raises unless the values are a mapping by name; a dataset is one, of variables."""
+    if isinstance(values, xr.Dataset):
+        raise TypeError(
+            f"{name} must be one variable of a dataset, such as curves['return'].mean('episode'), got all of it"
+        )
+    checks.instance(name, values, Mapping, what)
 
 
 def check_level(level: float) -> None:

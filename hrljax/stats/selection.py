@@ -47,6 +47,10 @@ def best(
         TypeError, ValueError: a bad argument, no run that is finished in every setting, or values that are not finite.
     """
     check_values("values", values, dim)
+    for time in {"episode", "checkpoint", "steps"} & set(values.dims):
+        raise ValueError(
+            f"values must be one number a run, got a dimension {time!r}: reduce it, such as by mean({time!r})"
+        )
     check_bootstrap(level, resamples, key)
     checks.flag("least", least)
     settings = [name for name in values.dims if name != dim]

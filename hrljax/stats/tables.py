@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from hrljax.core import checks
-from hrljax.stats.arguments import check_level, check_values
+from hrljax.stats.arguments import check_level, check_named, check_values
 from hrljax.stats.intervals import bootstrap_interval, mean_interval
 from hrljax.stats.resampling import Statistic
 from hrljax.stats.settings import settings
@@ -66,7 +66,7 @@ class Table(NamedTuple):
 
 
 def table(
-    values: Mapping[str, xr.DataArray | Mapping[str, xr.DataArray]],
+    values: xr.DataArray | Mapping[str, xr.DataArray | Mapping[str, xr.DataArray]],
     statistic: Statistic = "mean",
     *,
     best: Best = None,
@@ -77,7 +77,7 @@ def table(
 
     Args:
         values: by the name of a row, one number a run, with the dimension ``seed`` and perhaps one more, whose values
-            become columns; or several by the names of columns.
+            become columns; or several by the names of columns. Or one array of a sweep: a row is a setting.
         statistic: ``"mean"``, ``"interquartile_mean"`` or ``"median"``.
         best: which number of each column is bold.
         digits: behind the point, from 0.
@@ -90,7 +90,10 @@ def table(
     Raises:
         TypeError, ValueError: a bad argument, more dimensions, or rows with different columns.
     """
-    checks.instance("values", values, Mapping, "a mapping from names of rows to DataArrays")
+    if isinstance(values, xr.DataArray) and values.ndim > 1:
+        check_values("values", values, "seed")
+        values = {setting: runs for runs, setting in settings(values, "seed")}
+    check_named("values", values, "a mapping from names of rows to DataArrays, or a DataArray with several settings")
     checks.choice("statistic", statistic, Statistic)
     checks.choice("best", best, ("greatest", "least", None))
     checks.integer("digits", digits, 0, 15)
@@ -124,6 +127,7 @@ def _columns(
 ) -> Iterator[tuple[str, xr.DataArray]]:
     """Names of columns, and the runs of each."""
     if isinstance(of_row, Mapping):
+        check_named(f"values: {name!r}", of_row, "a mapping from names of columns to DataArrays")
         for column, runs in of_row.items():
             _check_runs(f"values: {name!r}: {column!r}", runs)
             yield column, runs

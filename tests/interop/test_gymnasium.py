@@ -172,7 +172,7 @@ def test_pictures_are_those_of_the_environment(name: str):
 def test_pictures_that_do_not_exist_are_refused():
     with pytest.raises(ValueError, match="render mode must be one of 'ansi', 'rgb_array'; got 'human'"):
         SingleEnv("Bus", render_mode="human")
-    with pytest.raises(ValueError, match="nothing, for Walker has no pictures; got 'ansi'"):
+    with pytest.raises(ValueError, match="Walker has no pictures, for it has no renderer; got the render mode 'ansi'"):
         SingleEnv(Walker(), render_mode="ansi")
     with pytest.raises(ResetNeeded, match="render needs a state"):
         SingleEnv("Bus", render_mode="ansi").render()

@@ -220,7 +220,7 @@ def test_bad_input_is_refused():
         BatchedEnv("Maze", 2).reset(seed=1.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="'sometimes' is not a valid AutoresetMode"):
         BatchedEnv("Maze", 2, autoreset_mode="sometimes")
-    with pytest.raises(ValueError, match="render mode must be one of nothing, for Walker has no pictures"):
+    with pytest.raises(ValueError, match="Walker has no pictures, for it has no renderer; got the render mode 'ansi'"):
         BatchedEnv(Walker(), 2, render_mode="ansi")
     env = BatchedEnv(SMALL, 2)
     with pytest.raises(ResetNeeded, match="reset all environments"):

@@ -254,6 +254,8 @@ def test_what_cannot_be_drawn_is_refused(draw: Callable[[], Axes], message: str)
             lambda: sensitivity(np.zeros(3), "step_size"),
             "values must be a DataArray, or a mapping from names to DataArrays",
         ),
+        (lambda: sensitivity(curve(), "step_size"), "values must be one variable of a dataset, such as curves"),
+        (lambda: intervals(curve()), "values must be one variable of a dataset, such as curves"),
         (lambda: intervals(swept()), "values must be a mapping from names to DataArrays, got <xarray.DataArray"),
         (lambda: intervals({"a": swept()[0, 0]}, "mean"), "statistics must be a sequence of names, got 'mean'"),
     ],
@@ -313,6 +315,7 @@ def test_the_sensitivity_of_points_is_a_marker_each_with_its_interval():
     interval = stats.mean_interval(of_points())
     ends = [segment[:, 1].tolist() for segment in whiskers.get_segments()]
     np.testing.assert_allclose(ends, np.transpose([interval["low"], interval["high"]]))
+    assert not set(POINTS["epsilon"]) <= set(ax.get_xticks()), "labels of points that are close would overlap"
 
 
 def test_curves_of_points_say_their_hyper_parameters():

@@ -94,6 +94,8 @@ def test_bad_arguments_are_refused():
     array = runs(np.ones((2, 3)), step_size=[0.1, 0.2])
     with pytest.raises(ValueError, match="values must have a dimension 'run'"):
         best(array, "run")
+    with pytest.raises(ValueError, match="values must be one number a run, got a dimension 'episode': reduce it"):
+        best(array.expand_dims(episode=[10, 20]))
     with pytest.raises(ValueError, match=r"perhaps 0\.95 is meant"):
         best(array, level=95)
     with pytest.raises(ValueError, match="least must be"):

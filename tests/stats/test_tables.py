@@ -67,10 +67,22 @@ def test_what_is_missing_or_infinite_has_no_interval_and_wins_nothing():
     assert table.markdown().splitlines()[2:] == [r"| a \| b | nan |", "| c | inf |", "| d | **3.00** |"]
 
 
+def test_of_one_array_every_setting_is_a_row():
+    swept = xr.concat([ONE, TWO], "step_size").assign_coords(step_size=[0.1, 0.5])
+    table = stats.table(swept, best="greatest")
+    assert table == stats.table({"step_size=0.1": ONE, "step_size=0.5": TWO}, best="greatest")
+
+
 @pytest.mark.parametrize(
     ("make", "error", "message"),
     [
         (lambda: stats.table(ONE), TypeError, "values must be a mapping"),  # type: ignore[arg-type]
+        (lambda: stats.table(ONE.to_dataset(name="return")), TypeError, "values must be one variable of a dataset"),
+        (
+            lambda: stats.table({"a": ONE.to_dataset(name="return")}),  # type: ignore[dict-item]
+            TypeError,
+            "values: 'a' must be one variable of a dataset, such as curves",
+        ),
         (lambda: stats.table({}), ValueError, "at least one array"),
         (lambda: stats.table({"a": {}}), ValueError, "at least one array"),
         (lambda: stats.table({"a": ONE, "b": {"Bus": ONE}}), ValueError, "all rows must have the columns"),
