@@ -3,9 +3,11 @@
 The tests of faults say that XLA still has them. One that fails tells what can be taken out of the library.
 """
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -174,3 +176,30 @@ def test_nothing_is_timed_at_import():
     program = "import hrljax; from hrljax.engine import compiler; print(compiler.write_cost.cache_info().currsize)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0"]
+
+
+@pytest.mark.slow
+def test_a_program_that_jax_keeps_gives_the_same_bits_to_the_next_process(tmp_path: Path):
+    program = """
+import jax
+
+import hrljax as hrl
+
+read = []
+jax.monitoring.register_event_listener(lambda event, **_: read.append(event == "/jax/compilation_cache/cache_hits"))
+env = hrl.make("Bus")
+learner = hrl.SharedHORDQ(env.hierarchy(), hrl.ModelRoot(), initial_value=-25.0)
+curves = hrl.sweep(env, learner, seeds=2, num_episodes=50, cores=1, progress=False)
+print(curves["return"].values.tobytes().hex(), sum(read))
+"""
+    kept = os.environ | {
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    outputs = [
+        subprocess.run([sys.executable, "-c", program], env=kept, check=True, capture_output=True, text=True).stdout
+        for _ in range(2)
+    ]
+    (first, _), (second, num_read) = map(str.split, outputs)
+    assert first == second
+    assert int(num_read) > 0
