@@ -34,6 +34,8 @@ PAGES = {
     "first_picture": "start",
     "heat_map": "sweeps",
     "corridor": "own_environment",
+    "corridor_policy": "own_environment",
+    "environments/lake": "environments/from_table",
     "step_sizes": "own_learner",
     "guides/first_project": "guides/first_project",
     "guides/drawing": "guides/drawing",

@@ -1,12 +1,13 @@
 """Environments from tables: any finite decision process whose probabilities are known."""
 
 import hashlib
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from hrljax.core import checks
 from hrljax.core.environment import Cuts, Events, Words
@@ -82,12 +83,18 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
         name: of the environment.
         max_steps: default limit of steps.
         action_names: one for each action; their numbers if empty.
+        shape: if states are the cells of a map, numbered row by row, its rows and columns. Then pictures show it, and
+            `variables` are row and column.
+
+    Raises:
+        TypeError, ValueError: an attribute is of the wrong kind, or does not fit the table.
     """
 
     table: Table
     name: str = "Table"  # type: ignore[misc]
     max_steps: int = 1000
     action_names: tuple[str, ...] = ()  # type: ignore[misc]
+    shape: tuple[int, int] | None = None
 
     num_words = 1
     num_initial_words = 1
@@ -102,6 +109,19 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
             object.__setattr__(self, "action_names", tuple(map(str, range(count))))
         if len(self.action_names) != count:
             raise ValueError(f"action_names must have {count} names, got {self.action_names!r}")
+        if self.shape is not None and (len(self.shape) != 2 or math.prod(self.shape) != self.num_states):
+            raise ValueError(f"shape must be rows and columns of {self.num_states} cells, got {self.shape!r}")
+
+    @property
+    def renderer(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride] (depends on a field)
+        return "hrljax.envs.grid.variable_render" if self.shape else None
+
+    def variables(self, state: TableState) -> dict[str, Array]:
+        """Row and column if there is a `shape`; else the number."""
+        if self.shape is None:
+            return {"number": state.number}
+        columns = np.int32(self.shape[1])
+        return {"row": lax.div(state.number, columns), "column": lax.rem(state.number, columns)}
 
     @property
     def default_params(self) -> TableParams:

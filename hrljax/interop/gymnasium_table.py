@@ -56,7 +56,15 @@ def from_table(
         max_steps = _DEFAULT_MAX_STEPS if limit is None else limit
     model = _model(name, source.P, sizes[0], sizes[1])
     names = tuple(action_names) or _names_of_actions(source, sizes[1])
-    return TableEnvironment(Table(model, np.asarray(initial)), name=name, max_steps=max_steps, action_names=names)
+    table = Table(model, np.asarray(initial))
+    shape = _shape_of(source, sizes[0])
+    return TableEnvironment(table, name=name, max_steps=max_steps, action_names=names, shape=shape)
+
+
+def _shape_of(source: Any, num_states: int) -> tuple[int, int] | None:
+    """Rows and columns where states are cells, as in FrozenLake (``nrow``, ``ncol``) and CliffWalking (``shape``)."""
+    height, width = getattr(source, "shape", None) or (getattr(source, "nrow", 0), getattr(source, "ncol", 0))
+    return (int(height), int(width)) if height * width == num_states else None
 
 
 def _names_of_actions(source: Any, count: int) -> tuple[str, ...]:

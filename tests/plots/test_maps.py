@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 
-import gymnasium
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import hrljax as hrl
-from hrljax.interop.gymnasium import from_table
 from tests.pictures import arrows, strings
 
 CORNER = "S..\n..G"
@@ -53,8 +51,8 @@ def test_the_rest_of_a_state_is_given_by_name():
 
 @pytest.mark.parametrize("draw", [hrl.plots.policy, hrl.plots.value])
 def test_what_has_no_map_is_refused(draw: Callable[..., Axes]):
-    lake = from_table(gymnasium.make("FrozenLake-v1"))
-    with pytest.raises(TypeError, match=r"renderer has a function draw_.*FrozenLake"):
-        draw(lake, np.zeros(16, np.int32))
+    chain = hrl.make("BoyanChain")
+    with pytest.raises(TypeError, match=r"renderer has a function draw_.*BoyanChain"):
+        draw(chain, np.zeros(chain.num_states, np.int32))
     with pytest.raises(TypeError, match="draw_"):
         draw(hrl.make("Mario"), [0])

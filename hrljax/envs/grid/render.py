@@ -5,6 +5,7 @@ drawing starts a new figure, which is ``ax.figure``, and needs neither a display
 """
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,18 @@ def policy_at(env: AnyTabularEnvironment, policy: ArrayLike, states: ArrayLike) 
 def value_at(env: AnyTabularEnvironment, value: ArrayLike, states: ArrayLike) -> np.ndarray:
     """The entries (float64) of an ``[S]`` value function for states with these numbers, after checking it."""
     return _checked_table(env, "value", value, "fiu", "real numbers")[np.asarray(states)].astype(np.float64)
+
+
+@lru_cache(maxsize=16)
+def occurring_states(env: AnyTabularEnvironment) -> np.ndarray:
+    """``[S]`` bool: an episode that goes on can be in this state, with the default parameters."""
+    successors = env.model().successors().reshape(env.num_states, -1)
+    occurs, before = env.initial_distribution() > 0, np.zeros(env.num_states, np.bool_)
+    while (occurs != before).any():
+        before = occurs.copy()
+        following = successors[before]
+        occurs[following[following >= 0]] = True
+    return occurs
 
 
 def _checked_table(env: AnyTabularEnvironment, argument: str, table: ArrayLike, kinds: str, meaning: str) -> np.ndarray:
@@ -140,7 +153,8 @@ def draw_actions(
         zorder=4,
     )
     for cell in np.flatnonzero(shown & ~is_step).tolist():
-        write(ax, *ground.centre(cell), str(signs[actions[cell]]), 0.24, weight="bold")
+        sign = str(signs[actions[cell]])
+        write(ax, *ground.centre(cell), sign, min(0.24, 1.3 / max(map(len, sign.split("\n")))), weight="bold")
 
 
 def shown_values(values: np.ndarray, shown: np.ndarray) -> np.ma.MaskedArray:
