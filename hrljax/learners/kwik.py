@@ -23,8 +23,8 @@ from hrljax.learners.planning import settled
 class KnownEffects:
     """What can happen: K effects of every action, each of which leads somewhere from each of P = S * A pairs.
 
-    Effects that lead to the same from a pair cannot be told apart there: they are a class, numbered by the first of
-    them. What a class is made of is one of U vectors of K zeros and ones.
+    Effects with the same next state and reward from a pair cannot be told apart there: they are a class, numbered by
+    the first of them. What a class is made of is one of U vectors of K zeros and ones.
     """
 
     num_actions: int
@@ -45,12 +45,13 @@ class KnownEffects:
         pairs = env.num_states * env.num_actions
         ends = (outcomes.flags.reshape(pairs, -1) & 1) == 1
         after = np.where(ends, env.num_states, outcomes.next_state.reshape(pairs, -1)).astype(np.int32)
-        is_same = after[:, :, None] == after[:, None, :]
+        reward = outcomes.reward.reshape(pairs, -1).astype(np.float32)
+        is_same = (after[:, :, None] == after[:, None, :]) & (reward[:, :, None] == reward[:, None, :])
         vectors, vector = np.unique(is_same.reshape(-1, after.shape[1]), axis=0, return_inverse=True)
         return KnownEffects(
             env.num_actions,
             after,
-            outcomes.reward.reshape(pairs, -1).astype(np.float32),
+            reward,
             is_same.argmax(2).astype(np.int32),
             vectors.astype(np.float32),
             vector.reshape(after.shape).astype(np.int32),
@@ -76,7 +77,7 @@ class KWIKRMax(EpsilonGreedyLearner[KnownEffects]):
     """R-MAX that knows the effects of actions and learns their probabilities by KWIK linear regression.
 
     Walsh, Szita, Diuk and Littman 2009, Algorithm 1 and its use for stochastic STRIPS. The probability that one of a
-    class of effects happens, which lead to the same from a state, is ``x^T w``: x has a one for each of them, and w are
+    class of effects happens, with the same next state and reward, is ``x^T w``: x has a one for each of them, and w are
     the probabilities of the action's effects, the same in all states. Where ``|Q x|`` is below `known_below` that is
     known; elsewhere the learner learns from what it sees, for every class with y = 1 if it happened, else 0::
 
@@ -137,7 +138,7 @@ class KWIKRMax(EpsilonGreedyLearner[KnownEffects]):
         is_known = self._is_known(prepared, state.tables.regression, transition.action, pair, context.zero)
 
         def learned(tables: KWIKTables) -> KWIKTables:
-            regression = _seen(prepared, tables.regression, transition.action, pair, after, context.zero)
+            regression = _seen(prepared, tables.regression, pair, after, transition, context.zero)
             return self._planned(prepared, tables._replace(regression=regression), context)
 
         tables = once_if(context.learns & ~is_known, learned, state.tables)
@@ -197,23 +198,27 @@ def _matrix(effects: KnownEffects, regression: Regression, action: Array) -> Arr
 
 
 def _seen(
-    effects: KnownEffects, regression: Regression, action: Array, pair: Array, after: Array, zero: Array
+    effects: KnownEffects, regression: Regression, pair: Array, after: Array, transition: Transition, zero: Array
 ) -> Regression:
-    """The regressions after a step to a state (int32; S if the episode ended): a sample for every class of its pair."""
-    count = effects.num_effects
-    rows = [
+    """The regressions after a step to a state (int32; S if the episode ended): a sample for every class of its pair.
+
+    What happened is the class with that next state and the nearest reward.
+    """
+    count, action = effects.num_effects, transition.action
+    first_of, vector_of, next_states, rewards = (
         take_row(jnp.asarray(table.ravel()), pair * np.int32(count), count)
-        for table in (effects.first, effects.vector, effects.next_state)
-    ]
+        for table in (effects.first, effects.vector, effects.next_state, effects.reward)
+    )
+    leads_there = next_states == after
+    off = jnp.where(leads_there, jnp.abs(rewards - transition.reward), np.float32(np.inf))
+    happened = (leads_there & (off == off.min())).astype(jnp.float32)
     vectors = jnp.asarray(effects.vectors.ravel())
     weights = take_row(regression.weights, action * np.int32(count), count)
 
     def of_class(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        first, vector, next_state = (take(row, k) for row in rows)
-        x = take_row(vectors, vector * np.int32(count), count)
-        sample = x, (next_state == after).astype(jnp.float32)
-        new = least_squares_step(*carry, *sample, zero)
-        return choose(first == k, new, carry)
+        x = take_row(vectors, take(vector_of, k) * np.int32(count), count)
+        new = least_squares_step(*carry, x, take(happened, k), zero)
+        return choose(take(first_of, k) == k, new, carry)
 
     matrix, weights = lax.fori_loop(
         jnp.int32(0), jnp.int32(count), of_class, (_matrix(effects, regression, action), weights)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import hrljax
+from hrljax.envs.table import Table, TableEnvironment
 from hrljax.learners.kwik import KnownEffects, KWIKRMax, least_squares_step
+from hrljax.solvers.model import Model
 from tests.learners.python_run import (
     PAIRS,
     assert_learns_only_when_live,
@@ -42,14 +44,15 @@ class Regressing:
         if not self.is_known(pair):
             self.learned += 1
             for members in self.classes(pair):
-                happened = self.effects.next_state[pair, members[0]] == leads
+                first = pair, members[0]
+                happened = self.effects.next_state[first] == leads and self.effects.reward[first] == reward
                 self.step(action, members, F(happened))
             self.plan()
         return choose(self.q, after, words[0], self.learner.epsilon)
 
     def classes(self, pair: int) -> list[list[int]]:
-        """Effects that lead to the same."""
-        leads = self.effects.next_state[pair].tolist()
+        """Effects with the same next state and reward."""
+        leads = list(zip(self.effects.next_state[pair].tolist(), self.effects.reward[pair].tolist(), strict=True))
         return [[k for k in range(self.k) if leads[k] == where] for where in dict.fromkeys(leads)]
 
     def is_known(self, pair: int) -> bool:
@@ -157,6 +160,15 @@ def test_what_is_learned_in_one_place_is_known_everywhere():
     np.testing.assert_allclose(weights[:4].sum(1), 1, atol=0.15)
     assert run.greedy_return is not None
     assert float(run.greedy_return[-1]) > optimum(env) - 1
+
+
+def test_effects_with_one_next_state_and_two_rewards_are_told_apart():
+    """A lottery that costs 10 nine times in ten is worse than to pay 6."""
+    reward = np.array([[[-10.0, 0.0], [-6.0, -6.0]]])
+    model = Model.merged(np.zeros((1, 2, 2), int), reward, np.ones((1, 2, 2), np.bool_), np.array([0.9, 0.1]))
+    env = TableEnvironment(Table(model, np.ones(1)), name="lottery", max_steps=5, action_names=("lottery", "pay"))
+    run = hrljax.train(env, KWIKRMax(known_below=0.01), jax.random.key(0), 500, bin_size=100)
+    np.testing.assert_allclose(run.learned.values, [-9, -6], atol=1)
 
 
 @pytest.mark.parametrize(
