@@ -20,8 +20,8 @@ class Options:
     over 10 of 200 bins, the "median" with "lo" and "hi", null for never; the share of runs that "reached" it; "regret",
     the sum over episodes of what the optimum earns more, with "mean", "lo" and "hi"; "final_return" of the last
     eighth; "seconds" of a processor for a run, without compilation; "microseconds_per_step"; "memory" of what a run
-    has learned, in bytes; "seeds" and "episodes"). Settings are usual ones, not tuned. The defaults take about 25
-    minutes of a processor, of which RL-DT and SPITI on the stochastic Taxi take 9, KWIK-R-MAX on the Bus 4 and
+    has learned, in bytes; "seeds" and "episodes"). Settings are usual ones, not tuned. The defaults take about 30
+    minutes of a processor, of which RL-DT and SPITI on the stochastic Taxi take 9, KWIK-R-MAX on the Bus 8 and
     compilation 4.
     """
 
