@@ -41,7 +41,8 @@ class LinearDyna(Learner[LinearModel, LinearTables, Array]):
         model_step_size: beta in (0, 1], or a schedule of the episode.
         epsilon: probability of a uniformly random action, or a schedule of the episode. Else it takes the best one.
         discount: g in [0, 1].
-        initial_value: of every state and every action.
+        initial_value: of every state and every action, where the weights of features sum to the most that they do. All
+            begin at 0 if they sum to 0 in every state.
         planning_steps: features swept from, or backed up, after every real step; at least 0.
         planning: ``"mg"`` or ``"random"``.
         ties: as of `QLearning`.

@@ -18,6 +18,9 @@ from hrljax.core.random import WordBlock
 from hrljax.learners.base import Context
 from hrljax.learners.features import Active, Features
 
+_ROUNDING = 1e-6
+"""Weights whose sum is no more, relative to the sum of their sizes, are taken to sum to 0."""
+
 
 class LinearTables(NamedTuple):
     """What was learned: n features, A actions."""
@@ -55,8 +58,14 @@ class LinearModel(NamedTuple):
         return self.features.size
 
     def empty(self, value: Array) -> LinearTables:
-        """Every state and every action is worth `value`, where the weights of features sum to the most that they do."""
-        share = value / np.float32(np.abs(self.features.weight.sum(1)).max())
+        """Every state and every action is worth `value`, where the weights of features sum to the most that they do.
+
+        If they sum to 0 in all states, all is worth 0: equal shares of features make nothing else.
+        """
+        sums = self.features.weight.sum(1)
+        most = sums[np.abs(sums).argmax()]
+        cancels = np.abs(most) <= _ROUNDING * np.abs(self.features.weight).sum(1).max()
+        share = jnp.zeros_like(value) if cancels else value / most
         n, actions = self.size, self.num_actions
         zeros = jnp.zeros(n, jnp.float32)
         return LinearTables(

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from hrljax.core import random
+from hrljax.learners.base import outside_of_training
 from hrljax.learners.features import Features, state_features
 from hrljax.learners.linear_dyna import LinearDyna
+from hrljax.learners.linear_model import LinearModel
 from tests.learners.python_run import (
     PAIRS,
     assert_learns_only_when_live,
@@ -36,7 +38,8 @@ class PlainModel:
 
     def __init__(self, features: Features, value: float, allowed: np.ndarray):
         self.features, self.allowed = features, allowed  # [A, n]
-        n, actions, share = features.size, len(allowed), F(value) / np.abs(features.weight.sum(1)).max()
+        n, actions = features.size, len(allowed)
+        share = F(value) / max(features.weight.sum(1), key=abs)
         self.theta, self.waits = np.full(n, share), np.zeros(n, F)
         self.follows, self.earned = np.zeros((actions, n, n), F), np.full((actions, n), share)  # F_a[k, j], b_a[j]
 
@@ -151,3 +154,22 @@ def test_a_seed_has_one_result_under_every_mapping(planning: Any):
 
 def test_a_step_that_is_not_live_changes_nothing():
     assert_learns_only_when_live(LinearDyna(random_features(9, 3), initial_value=2.0, planning_steps=2))
+
+
+@pytest.mark.parametrize(
+    ("weights", "value"),
+    [
+        pytest.param([-1.0, -0.5], -10.0, id="negative"),
+        pytest.param([0.75, 0.5], -10.0, id="positive"),
+        pytest.param([0.5, -0.5], 0.0, id="cancel"),
+        pytest.param([0.1 + 0.2, -0.3], 0.0, id="cancel but for rounding"),
+        pytest.param([0.0, 0.0], 0.0, id="none"),
+    ],
+)
+def test_all_begins_at_the_initial_value_where_weights_sum_to_the_most(weights: list[float], value: float):
+    model = LinearModel.of(Features.from_dense(np.array([weights, [0.5 * weight for weight in weights]])), 2)
+    tables = model.empty(jnp.float32(-10))
+    context = outside_of_training(jnp.uint32(0), 0)
+    active = model.features.of(jnp.int32(0))
+    np.testing.assert_allclose([model.value(tables, active, context)], value, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(model.action_values(tables, active, context), value, rtol=1e-6, atol=1e-6)

@@ -27,7 +27,7 @@ class LinearRoot(SMDPRoot):
         features: of states, `hrljax.variable_features` and so on; one a state if None.
         step_size: alpha in (0, 1], or a schedule of the episode; of values.
         model_step_size: beta in (0, 1], or a schedule of the episode.
-        unknown_value: of every state, and of a subtask that was never tried.
+        unknown_value: of every state, and of a subtask that was never tried; as `hrljax.LinearDyna.initial_value`.
         planning_steps: features swept from after every subtask, at least 0.
     """
 
