@@ -109,8 +109,11 @@ class TableEnvironment(TabularEnvironment[TableState, TableParams]):
             object.__setattr__(self, "action_names", tuple(map(str, range(count))))
         if len(self.action_names) != count:
             raise ValueError(f"action_names must have {count} names, got {self.action_names!r}")
-        if self.shape is not None and (len(self.shape) != 2 or math.prod(self.shape) != self.num_states):
-            raise ValueError(f"shape must be rows and columns of {self.num_states} cells, got {self.shape!r}")
+        if self.shape is not None:
+            shape = checks.sequence_of("shape", self.shape, int, "integers")
+            if len(shape) != 2 or min(shape) < 1 or math.prod(shape) != self.num_states:
+                raise ValueError(f"shape must be rows and columns of {self.num_states} cells, got {shape}")
+            object.__setattr__(self, "shape", shape)
 
     @property
     def renderer(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride] (depends on a field)

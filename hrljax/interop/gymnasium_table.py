@@ -1,5 +1,6 @@
 """Gymnasium environments with a transition table as environments of this library."""
 
+import math
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -63,8 +64,9 @@ def from_table(
 
 def _shape_of(source: Any, num_states: int) -> tuple[int, int] | None:
     """Rows and columns where states are cells, as in FrozenLake (``nrow``, ``ncol``) and CliffWalking (``shape``)."""
-    height, width = getattr(source, "shape", None) or (getattr(source, "nrow", 0), getattr(source, "ncol", 0))
-    return (int(height), int(width)) if height * width == num_states else None
+    shape: Any = getattr(source, "shape", (getattr(source, "nrow", None), getattr(source, "ncol", None)))
+    is_pair = isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(size, int) for size in shape)
+    return shape if is_pair and min(shape) > 0 and math.prod(shape) == num_states else None
 
 
 def _names_of_actions(source: Any, count: int) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from hrljax import stats
 from hrljax.core import checks
 from hrljax.plots import style
 from hrljax.stats import Statistic
+from hrljax.stats.arguments import TIMES
 from hrljax.stats.settings import settings
 
 Curves = xr.Dataset | xr.DataArray
@@ -94,4 +95,4 @@ def _values(name: str, curves: Curves, variable: str) -> xr.DataArray:
 
 def _along(values: xr.DataArray) -> str | None:
     """The dimension of time, None if there is none."""
-    return next((dim for dim in ("checkpoint", "episode", "steps") if dim in values.dims), None)
+    return next((dim for dim in TIMES if dim in values.dims), None)

@@ -7,6 +7,9 @@ import xarray as xr
 from hrljax.core import checks
 from hrljax.stats.resampling import Method, Statistic
 
+TIMES = ("checkpoint", "episode", "steps")
+"""Dimensions along which a run goes on."""
+
 
 def check_values(name: str, values: object, *dims: str) -> None:
     """Raises unless the values are an array with some dimensions."""

@@ -6,7 +6,7 @@ from scipy import special
 
 from hrljax.core import checks
 from hrljax.stats import resampling
-from hrljax.stats.arguments import check_bootstrap, check_values
+from hrljax.stats.arguments import TIMES, check_bootstrap, check_values
 
 
 def best(
@@ -47,10 +47,11 @@ def best(
         TypeError, ValueError: a bad argument, no run that is finished in every setting, or values that are not finite.
     """
     check_values("values", values, dim)
-    for time in {"episode", "checkpoint", "steps"} & set(values.dims):
-        raise ValueError(
-            f"values must be one number a run, got a dimension {time!r}: reduce it, such as by mean({time!r})"
-        )
+    for time in TIMES:
+        if time in values.dims:
+            raise ValueError(
+                f"values must be one number a run, got a dimension {time!r}: reduce it, such as by mean({time!r})"
+            )
     check_bootstrap(level, resamples, key)
     checks.flag("least", least)
     settings = [name for name in values.dims if name != dim]

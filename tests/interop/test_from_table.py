@@ -211,3 +211,27 @@ def test_actions_have_the_names_that_gymnasium_gives_them():
 def test_constants_of_an_environment_are_names_in_the_order_of_its_actions():
     assert from_table("CliffWalking-v1").action_names == ("up", "right", "down", "left")
     assert from_table(TABLES["taxi"][0]).action_names == tuple("012345")  # Gymnasium's Taxi names none
+
+
+@pytest.mark.parametrize(
+    ("attributes", "shape"),
+    [
+        ({"shape": (2, 3)}, (2, 3)),
+        ({"nrow": 3, "ncol": 2}, (3, 2)),
+        ({"shape": (1, 2, 3)}, None),
+        ({"shape": (3, 3)}, None),
+        ({"shape": None}, None),
+        ({"nrow": 6}, None),
+        ({}, None),
+    ],
+)
+def test_states_are_cells_where_rows_and_columns_are_told(attributes: dict[str, object], shape: object):
+    class Source(gymnasium.Env[int, int]):
+        observation_space, action_space = spaces.Discrete(6), spaces.Discrete(1)
+        P = {state: {0: [(1.0, 5, 0.0, True)]} for state in range(6)}
+        initial_state_distrib = np.eye(6)[0]
+
+    source = Source()
+    for name, value in attributes.items():
+        setattr(source, name, value)
+    assert from_table(source).shape == shape

@@ -5,7 +5,6 @@ drawing starts a new figure, which is ``ax.figure``, and needs neither a display
 """
 
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike
 from hrljax.core import checks, figures
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.grid.ascii_map import MOVES, text_lines
+from hrljax.solvers.model import Model
 
 INK, FAINT, ALARM, VEHICLE, PERSON = "#222222", "#777777", "#CC3311", "#DDAA33", "#004488"
 _REGION_COLOURS = ("#BBCCEE", "#CCDDAA", "#EEEEBB", "#FFCCCC", "#CCEEFF", "#DDDDDD")  # "pale" of Paul Tol
@@ -71,11 +71,10 @@ def value_at(env: AnyTabularEnvironment, value: ArrayLike, states: ArrayLike) ->
     return _checked_table(env, "value", value, "fiu", "real numbers")[np.asarray(states)].astype(np.float64)
 
 
-@lru_cache(maxsize=16)
-def occurring_states(env: AnyTabularEnvironment) -> np.ndarray:
-    """``[S]`` bool: an episode that goes on can be in this state, with the default parameters."""
-    successors = env.model().successors().reshape(env.num_states, -1)
-    occurs, before = env.initial_distribution() > 0, np.zeros(env.num_states, np.bool_)
+def occurring_states(model: Model, initial: np.ndarray) -> np.ndarray:
+    """``[S]`` bool: an episode that goes on can be in this state, if it begins by the probabilities `initial`."""
+    successors = model.successors().reshape(model.num_states, -1)
+    occurs, before = initial > 0, np.zeros(model.num_states, np.bool_)
     while (occurs != before).any():
         before = occurs.copy()
         following = successors[before]
@@ -139,19 +138,9 @@ def draw_actions(
     down, right = 0.56 * steps[is_step].T
     row, column = np.divmod(np.flatnonzero(is_step), ground.width)
     ax.quiver(
-        *(column, row, right, down),
-        pivot="mid",
-        angles="xy",
-        units="xy",
-        scale_units="xy",
-        scale=1,
-        color=INK,
-        width=0.065,
-        headwidth=3.6,
-        headlength=3.4,
-        headaxislength=3.1,
-        zorder=4,
-    )
+        *(column, row, right, down), pivot="mid", angles="xy", units="xy", scale_units="xy", scale=1, color=INK,
+        width=0.065, headwidth=3.6, headlength=3.4, headaxislength=3.1, zorder=4,
+    )  # fmt: skip
     for cell in np.flatnonzero(shown & ~is_step).tolist():
         sign = str(signs[actions[cell]])
         write(ax, *ground.centre(cell), sign, min(0.24, 1.3 / max(map(len, sign.split("\n")))), weight="bold")

@@ -10,23 +10,24 @@ written.
 A policy or a value is drawn for all cells at once, with the other variables given by name (0 if
 they are not).
 
-All functions raise ValueError where an argument has the wrong shape or type or is out of range.
+All functions raise ValueError where an argument has the wrong shape or type or is out of range, and
+TypeError where there is no such variable.
 """
 
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from numpy.typing import ArrayLike
 
+from hrljax.core import contract
 from hrljax.envs.base import AnyTabularEnvironment
 from hrljax.envs.factored import FactoredStates
 from hrljax.envs.grid import render as grid
-from hrljax.envs.grid.ascii_map import MOVES
+from hrljax.envs.grid.ascii_map import MOVES, neighbours
 
 DIRECTIONS: Mapping[str, tuple[int, int]] = dict(
     zip(["north", "east", "south", "west", "up", "right", "down", "left"], MOVES * 2, strict=True)
@@ -104,15 +105,15 @@ def _plan(env: AnyTabularEnvironment) -> _Plan:
     column, row = of_all["column"], of_all.get("row", np.zeros(env.num_states, np.int32))
     height, width = int(row.max()) + 1, int(column.max()) + 1
     cell = row * np.int32(width) + column
-    goes_on = grid.occurring_states(env)
+    goes_on = grid.occurring_states(model, env.initial_distribution())
     start, action, outcome = np.nonzero((model.probability > 0) & goes_on[:, None, None])
     after = model.next_state[start, action, outcome]
     left, entered = np.zeros((2, height * width), np.bool_)
     left[cell[goes_on]] = True
     entered[cell[after]] = True
     is_end = entered & ~left
-    neighbour = _neighbours(height, width, cell[start], cell[after], is_end)
-    ground = grid.Ground(height, width, neighbour, np.where(left | entered, 0, -1))
+    is_wall = _walls(height, width, cell[start], cell[after], is_end)
+    ground = grid.Ground(height, width, neighbours(is_wall, width), np.where(left | entered, 0, -1))
     reward = model.reward[start, action, outcome]
     ends = {end: _label(np.unique(reward[cell[after] == end])) for end in np.flatnonzero(is_end).tolist()}
     return _Plan(states, ground, cell, goes_on, ends)
@@ -122,27 +123,22 @@ def _label(rewards: np.ndarray) -> str:
     return f"end\n{rewards[0]:.4g}" if len(rewards) == 1 else "end"
 
 
-def _neighbours(height: int, width: int, before: np.ndarray, after: np.ndarray, is_end: np.ndarray) -> np.ndarray:
-    """``[cells, 4]`` int32: the cell that each of the `MOVES` reaches: where a step leads, or did, or there is no step.
+def _walls(height: int, width: int, before: np.ndarray, after: np.ndarray, is_end: np.ndarray) -> np.ndarray:
+    """``[cells, 4]`` bool: what stands in the way of each of the `MOVES`.
 
-    Args:
-        height, width: rows and columns.
-        before, after: cells that steps lead from, and to.
-        is_end: ``[cells]`` bool: no step leads from there.
+    A wall, unless a step leads from cell `before` to cell `after` or the other way; nothing between two ends, which no
+    step leaves.
     """
-    cells = np.arange(height * width, dtype=np.int32)
-    neighbour = np.repeat(cells[:, None], 4, 1)
-    (row, column), (row_after, column_after) = np.divmod(before, width), np.divmod(after, width)
+    row, column = np.divmod(np.arange(height * width), width)
+    is_wall = np.ones((height * width, 4), np.bool_)
     for move, (down, right) in enumerate(MOVES):
-        leads = (row_after - row == down) & (column_after - column == right)
-        neighbour[before[leads], move] = after[leads]
-        neighbour[after[leads], (move + 2) % 4] = before[leads]
-        rows, columns = np.divmod(cells, width)
-        inside = (rows + down >= 0) & (rows + down < height) & (columns + right >= 0) & (columns + right < width)
-        beside = np.where(inside, cells + np.int32(down * width + right), cells)
-        between_ends = is_end & is_end[beside]
-        neighbour[between_ends, move] = beside[between_ends]
-    return neighbour
+        leads = (row[after] - row[before] == down) & (column[after] - column[before] == right)
+        is_wall[before[leads], move] = False
+        is_wall[after[leads], (move + 2) % 4] = False
+        inside = (row + down >= 0) & (row + down < height) & (column + right >= 0) & (column + right < width)
+        ends = np.flatnonzero(is_end & inside)
+        is_wall[ends[is_end[ends + down * width + right]], move] = False
+    return is_wall
 
 
 def _states(plan: _Plan, rest: dict[str, int]) -> tuple[np.ndarray, list[tuple[str, int]]]:
@@ -168,7 +164,7 @@ def _shown(plan: _Plan, states: np.ndarray) -> np.ndarray:
 
 
 def _number(env: AnyTabularEnvironment, state: Any) -> int:
-    return grid.checked_integer("encode(state)", np.asarray(jax.jit(env.encode)(state)), env.num_states - 1, "a state")
+    return grid.checked_integer("encode(state)", np.asarray(contract.encode(env, state)), env.num_states - 1, "a state")
 
 
 def _rest(plan: _Plan, number: int) -> list[tuple[str, int]]:

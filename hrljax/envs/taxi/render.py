@@ -8,6 +8,7 @@ empty: where the passenger may still change the destination, all but the depot o
 All functions raise ValueError where an argument has the wrong shape or type or is out of range.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -65,7 +66,7 @@ def draw_policy(
     states = _states(env, scene)
     actions = grid.policy_at(env, policy, states)
     axes = _draw_ground(ax, scene).axes
-    grid.draw_actions(axes, _ground(), actions, grid.occurring_states(env)[states], _SIGNS)
+    grid.draw_actions(axes, _ground(), actions, _occurring(env)[states], _SIGNS)
     return axes
 
 
@@ -75,7 +76,7 @@ def draw_value(
     """Draws an ``[S]`` value function as a heat map with numbers, and a colour bar beside `ax`."""
     scene = _scene(env, passenger, destination, fickle)
     states = _states(env, scene)
-    values, shown = grid.value_at(env, value, states), grid.occurring_states(env)[states]
+    values, shown = grid.value_at(env, value, states), _occurring(env)[states]
     image = _draw_ground(ax, scene, grid.shown_values(values, shown))
     grid.draw_numbers(image, _ground(), values, shown)
     return image.axes
@@ -105,6 +106,12 @@ def _states(env: Taxi, scene: _Scene) -> np.ndarray:
     passenger, destination, fickle, time = map(jnp.int32, (scene.passenger, scene.destination, scene.fickle, 0))
     cells = jnp.arange(_CELLS, dtype=jnp.int32)
     return np.asarray(env.encode(TaxiState(cells, passenger, destination, fickle, time)))
+
+
+@lru_cache(maxsize=16)
+def _occurring(env: Taxi) -> np.ndarray:
+    """As `grid.occurring_states`, with the default parameters."""
+    return grid.occurring_states(env.model(), env.initial_distribution())
 
 
 def _status(scene: _Scene) -> str:

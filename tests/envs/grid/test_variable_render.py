@@ -114,3 +114,7 @@ def test_what_cannot_be_drawn_is_refused():
         variable_render.draw_map(TableEnvironment(env.table))
     with pytest.raises(ValueError, match=r"shape must be rows and columns of 10 cells, got \(3, 3\)"):
         TableEnvironment(env.table, shape=(3, 3))
+    with pytest.raises(ValueError, match=r"shape must be rows and columns of 10 cells, got \(-2, -5\)"):
+        TableEnvironment(env.table, shape=(-2, -5))
+    with pytest.raises(TypeError, match="shape must be a sequence of integers, got 10"):
+        TableEnvironment(env.table, shape=10)  # type: ignore[arg-type]

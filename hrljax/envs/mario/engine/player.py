@@ -97,20 +97,10 @@ def steer(player: Player, keys: Array) -> Player:
     xa = lax.select(lax.abs(xa) < np.float32(0.5), jnp.float32(0), xa)
     ya = lax.select(sliding, ya * np.float32(0.5), ya)
     return p._replace(
-        xa=xa,
-        ya=ya,
-        x_jump_speed=across,
-        y_jump_speed=upward,
-        jump_time=time,
-        facing=facing,
-        on_ground=on_ground,
-        was_on_ground=was_on_ground,
-        may_jump=may_jump,
-        sliding=sliding,
-        invulnerable_time=lax.max(p.invulnerable_time - 1, jnp.int32(0)),
-        x_old=p.x,
-        y_old=p.y,
-    )
+        xa=xa, ya=ya, x_jump_speed=across, y_jump_speed=upward, jump_time=time, facing=facing,
+        on_ground=on_ground, was_on_ground=was_on_ground, may_jump=may_jump, sliding=sliding,
+        invulnerable_time=lax.max(p.invulnerable_time - 1, jnp.int32(0)), x_old=p.x, y_old=p.y,
+    )  # fmt: skip
 
 
 def shoots(player: Player, keys: Array, fireballs_on_screen: Array) -> Array:
@@ -219,14 +209,9 @@ def animate(player: Player) -> tuple[Player, Array]:
 
 def _change(player: Player, large: Array, fire: Array, time: int) -> Player:
     return player._replace(
-        large=large,
-        fire=fire,
-        large_before=player.large,
-        fire_before=player.fire,
-        large_after=large,
-        fire_after=fire,
-        power_up_time=jnp.int32(time),
-    )
+        large=large, fire=fire, large_before=player.large, fire_before=player.fire, large_after=large,
+        fire_after=fire, power_up_time=jnp.int32(time),
+    )  # fmt: skip
 
 
 def hurt(player: Player, paused: Array) -> tuple[Player, Array]:

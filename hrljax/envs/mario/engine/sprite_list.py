@@ -65,20 +65,9 @@ def new_sprite(kind: Array | int, x: Array, y: Array, **others: Array) -> Sprite
     """A sprite at rest that faces right and has no template; its serial number is not set."""
     zero, none = jnp.float32(0), jnp.int32(0)
     sprite = Sprites(
-        x=x,
-        y=y,
-        xa=zero,
-        ya=zero,
-        x_old=x,
-        y_old=y,
-        kind=jnp.int32(kind),
-        facing=jnp.int32(1),
-        flags=none,
-        dead_time=none,
-        aux=none,
-        serial=none,
-        template=jnp.int32(-1),
-    )
+        x=x, y=y, xa=zero, ya=zero, x_old=x, y_old=y, kind=jnp.int32(kind), facing=jnp.int32(1), flags=none,
+        dead_time=none, aux=none, serial=none, template=jnp.int32(-1),
+    )  # fmt: skip
     return sprite._replace(**others)
 
 

@@ -245,16 +245,9 @@ def _update(tick: Tick, course: Course, place: Array) -> Tick:
     flags = with_flag(flags, STRIKING, striking)
     flags = flags | lax.select(over, jnp.int32(REMOVED), jnp.int32(0))
     sprite = sprite._replace(
-        x=x,
-        y=y,
-        xa=xa,
-        ya=ya,
-        x_old=before.x,
-        y_old=before.y,
-        flags=flags,
-        dead_time=dead_time,
+        x=x, y=y, xa=xa, ya=ya, x_old=before.x, y_old=before.y, flags=flags, dead_time=dead_time,
         aux=lax.select(rising, before.aux + 1, rested),
-    )
+    )  # fmt: skip
     return Tick(
         world=world._replace(sprites=write(world.sprites, place, sprite)),
         num_new=tick.num_new,

@@ -120,33 +120,12 @@ def new_player(large: Array | bool = False, fire: Array | bool = False) -> Playe
     large, fire = jnp.asarray(large, bool), jnp.asarray(fire, bool)
     count = jnp.int32(0)
     return Player(
-        x=jnp.float32(32),
-        y=zero,
-        xa=zero,
-        ya=zero,
-        x_old=jnp.float32(32),
-        y_old=zero,
-        x_jump_speed=zero,
-        y_jump_speed=zero,
-        facing=jnp.int32(1),
-        jump_time=count,
-        power_up_time=count,
-        invulnerable_time=count,
-        death_time=count,
-        win_time=count,
-        carried=jnp.int32(-1),
-        on_ground=off,
-        was_on_ground=off,
-        may_jump=off,
-        sliding=off,
-        can_shoot=off,
-        large=large,
-        fire=fire,
-        large_before=large,
-        fire_before=fire,
-        large_after=large,
-        fire_after=fire,
-    )
+        x=jnp.float32(32), y=zero, xa=zero, ya=zero, x_old=jnp.float32(32), y_old=zero,
+        x_jump_speed=zero, y_jump_speed=zero, facing=jnp.int32(1), jump_time=count, power_up_time=count,
+        invulnerable_time=count, death_time=count, win_time=count, carried=jnp.int32(-1), on_ground=off,
+        was_on_ground=off, may_jump=off, sliding=off, can_shoot=off, large=large, fire=fire,
+        large_before=large, fire_before=fire, large_after=large, fire_after=fire,
+    )  # fmt: skip
 
 
 def player_height(large: Array) -> Array:
